@@ -1,0 +1,235 @@
+"""Joint maximum likelihood with outlier rounds: solve, judge every observation anew, until nothing changes.
+
+Svoboda rejects by a threshold in pixels that shrinks; here an observation is judged by its residual in units of its
+camera's own noise, which is estimated, and one that was rejected is admitted again when it fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from network_calib.blocks import Problem, State
+from network_calib.bundle import Solution, SolverOptions, solve
+from network_calib.camera_block import PART, CameraBlock, cameras_of
+from network_calib.camera_parameters import CameraParameters, free_columns
+from network_calib.cameras import Cameras
+from network_calib.errors import ConvergenceError
+from network_calib.gauge import inner_gauge
+from network_calib.observations import BoolArray, FloatArray, IntArray
+from network_calib.priors import lens_prior
+from network_calib.robust_loss import CauchyLoss, Loss, SquaredLoss
+from network_calib.room_setup import CameraSetup, Knowledge
+from network_calib.spots import SpotViews, locate, reprojection_error
+
+ROBUST_ROUNDS, EXACT_ROUNDS = 4, 12
+# A Cauchy loss of 2.4 sigma keeps 95 % efficiency for Gaussian noise (Holland, Welsch 1977).
+ROBUST_SCALE = 2.4
+# Median of the norm of a 2D unit Gaussian.
+RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))
+# Detectors do not do better than this, and a vanishing sigma would reject everything.
+MIN_SIGMA_PX = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """A joint optimum and the observations that it rests on.
+
+    Attributes:
+        cameras: in the solve's own frame.
+        points: (F, 3); NaN for spots without two agreeing views.
+        is_inlier: (K,).
+        noise: (C,) factor on the detector's sigma: the noise in px where the detector gave none.
+        problem: the last least-squares problem, over the located spots.
+        state: its optimum.
+        has_converged: of the last solve.
+    """
+
+    cameras: Cameras
+    points: FloatArray
+    is_inlier: BoolArray
+    noise: FloatArray
+    problem: Problem
+    state: State
+    cost: float
+    has_converged: bool
+
+
+def refine(
+    setups: Sequence[CameraSetup],
+    cameras: Cameras,
+    views: SpotViews,
+    *,
+    rejection: float,
+    tolerance_px: float = 8.0,
+) -> Refined:
+    """Cameras, spots, noise and inliers of maximum likelihood, from a start.
+
+    Args:
+        setups: what is known of each camera.
+        cameras: the start.
+        views: K observations of F spots.
+        rejection: sigma beyond which an observation is an outlier.
+        tolerance_px: within which observations agree with the start.
+
+    Raises:
+        ConvergenceError: fewer than half of the cameras' observations agree, or the solve fails.
+    """
+    limit_px = np.full(len(views.camera), tolerance_px)
+    points, is_inlier = locate(cameras, views, limit_px)
+    noise = _robust_noise(cameras, views, points, is_inlier)
+    for _ in range(ROBUST_ROUNDS):
+        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, CauchyLoss(ROBUST_SCALE), 1e-4)
+        limit_px = np.minimum(limit_px, np.maximum(2 * rejection * noise[views.camera] * views.sigma_px, 0.5))
+        points, is_inlier = locate(cameras, views, limit_px)
+        previous, noise = noise, _robust_noise(cameras, views, points, is_inlier)
+        if np.abs(np.log(noise / previous)).max() < 0.1:
+            break
+    return _exact_rounds(setups, cameras, views, noise, rejection)
+
+
+def _exact_rounds(
+    setups: Sequence[CameraSetup], cameras: Cameras, views: SpotViews, noise: FloatArray, rejection: float
+) -> Refined:
+    """Plain least squares over the inliers, re-judged until the mask and the noise stand still."""
+    points, is_inlier = locate(cameras, views, rejection * noise[views.camera] * views.sigma_px)
+    for round_index in range(EXACT_ROUNDS):
+        is_last = round_index == EXACT_ROUNDS - 1
+        tolerance = 1e-5 if round_index == 0 else 1e-8
+        cameras, points, problem, solution = _solve(
+            setups, cameras, views, points, is_inlier, noise, SquaredLoss(), tolerance
+        )
+        noise_now = estimate_noise(cameras, views, points, is_inlier, noise)
+        limit_px = rejection * noise_now[views.camera] * views.sigma_px
+        new_points, judged = locate(cameras, views, limit_px)
+        is_settled = (judged != is_inlier).mean() < 1e-4 and np.abs(np.log(noise_now / noise)).max() < 0.01
+        if (is_settled and round_index > 0) or is_last:
+            return Refined(cameras, points, is_inlier, noise, problem, solution.state, solution.cost,
+                           solution.has_converged)
+        noise, points, is_inlier = noise_now, new_points, judged
+    raise AssertionError("unreachable")
+
+
+def fit(
+    setups: Sequence[CameraSetup],
+    cameras: Cameras,
+    views: SpotViews,
+    points: FloatArray,
+    is_inlier: BoolArray,
+    noise: FloatArray,
+) -> Cameras:
+    """One plain least-squares fit of given inliers from given cameras and points: for hold-out tests."""
+    return _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-8)[0]
+
+
+def _solve(
+    setups: Sequence[CameraSetup],
+    cameras: Cameras,
+    views: SpotViews,
+    points: FloatArray,
+    is_inlier: BoolArray,
+    noise: FloatArray,
+    loss: Loss,
+    tolerance: float,
+) -> tuple[Cameras, FloatArray, Problem, Solution]:
+    is_located = np.zeros(views.n_points, dtype=bool)
+    is_located[views.point[is_inlier]] = True
+    is_located &= np.isfinite(points).all(axis=1)
+    rows = np.flatnonzero(is_inlier & is_located[views.point])
+    if len(rows) < 3 * len(cameras):
+        raise ConvergenceError(f"only {len(rows)} observations agree with the start: no calibration rests on so few")
+    problem, state = build_problem(setups, cameras, views, points, rows, is_located, noise, loss)
+    solution = solve(problem, state, SolverOptions(cost_tolerance=tolerance))
+    moved = np.full_like(points, np.nan)
+    moved[is_located] = solution.state.points.T
+    return cameras_of(solution.state.parts).apply_to(cameras), moved, problem, solution
+
+
+def build_problem(
+    setups: Sequence[CameraSetup],
+    cameras: Cameras,
+    views: SpotViews,
+    points: FloatArray,
+    rows: IntArray,
+    is_located: BoolArray,
+    noise: FloatArray,
+    loss: Loss,
+) -> tuple[Problem, State]:
+    """The joint problem over the observations `rows` of the located spots, and its start."""
+    columns = free_columns(
+        tuple(setup.lens for setup in setups),
+        is_pose_fixed=np.zeros(len(setups), dtype=bool),
+        is_intrinsics_fixed=np.array([setup.knowledge is Knowledge.FIXED for setup in setups]),
+        groups=intrinsics_groups(setups),
+    )
+    parameters = CameraParameters.from_cameras(cameras, columns)
+    number = np.cumsum(is_located) - 1
+    block = CameraBlock(
+        group=views.camera[rows],
+        point=number[views.point[rows]],
+        px=np.ascontiguousarray(views.px[rows].T),
+        inverse_sigma=1 / (noise[views.camera[rows]] * views.sigma_px[rows]),
+        columns=columns,
+        loss=loss,
+    )
+    state = State({PART: parameters}, np.ascontiguousarray(points[is_located].T))
+    return Problem([block], [lens_prior(setups, parameters)], inner_gauge), state
+
+
+def intrinsics_groups(setups: Sequence[CameraSetup]) -> IntArray:
+    """(C,) equal numbers for cameras that share their intrinsics."""
+    names = [setup.group if setup.group is not None else f"\0{c}" for c, setup in enumerate(setups)]
+    return np.unique(names, return_inverse=True)[1].astype(np.int64)
+
+
+def _robust_noise(cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray) -> FloatArray:
+    """(C,) noise factor from the median error of each camera; too small by the fit's share, which later rounds mend."""
+    error = np.linalg.norm(reprojection_error(cameras, views, points), axis=1) / views.sigma_px
+    noise = np.full(len(cameras), np.nan)
+    for c in range(len(cameras)):
+        own = error[is_inlier & (views.camera == c)]
+        if len(own):
+            noise[c] = np.median(own) / RAYLEIGH_MEDIAN
+    typical = np.nanmedian(noise) if np.isfinite(noise).any() else 1.0
+    return np.maximum(np.where(np.isfinite(noise), noise, typical), MIN_SIGMA_PX)
+
+
+def estimate_noise(
+    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, noise: FloatArray
+) -> FloatArray:
+    """(C,) noise factor from the squared residuals over each camera's redundancy (variance components).
+
+    Of 2 residuals each observation loses what its spot's three coordinates take: its leverage. The spots' leverages are
+    exact for known cameras; what the cameras themselves take is shared out evenly, 14 of some hundred to thousand.
+    """
+    rows = np.flatnonzero(is_inlier & np.isfinite(points[views.point]).all(axis=1))
+    camera, point = views.camera[rows], views.point[rows]
+    sigma = noise[camera] * views.sigma_px[rows]
+    whitened = reprojection_error(cameras, views, points)[rows] / views.sigma_px[rows, None]
+    leverage = _spot_leverage(cameras, camera, point, points, sigma)
+    squares = np.bincount(camera, (whitened**2).sum(axis=1), minlength=len(cameras))
+    redundancy = np.bincount(camera, 2 - leverage, minlength=len(cameras)) - 13
+    typical = np.sqrt(squares.sum() / max(redundancy.sum(), 1.0))
+    own = np.sqrt(squares / np.maximum(redundancy, 1.0))
+    return np.maximum(np.where(redundancy > 20, own, typical), MIN_SIGMA_PX)
+
+
+def _spot_leverage(
+    cameras: Cameras, camera: IntArray, point: IntArray, points: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """(K,) trace of J (sum J'J)^-1 J' over each spot's own coordinates."""
+    columns = np.full((len(cameras), 14), -1, dtype=np.int64)
+    block = CameraBlock(camera, point, np.zeros((2, len(camera))), 1 / sigma, columns)
+    parts = {PART: CameraParameters.from_cameras(cameras, columns)}
+    _, _, by_point = block.linearise(parts, np.ascontiguousarray(points[point].T), slice(0, len(camera)))
+    normal = np.zeros((len(points), 3, 3))
+    for i in range(3):
+        for j in range(3):
+            product = np.einsum("mn,mn->n", by_point[i], by_point[j])
+            normal[:, i, j] = np.bincount(point, product, minlength=len(points))
+    used = np.unique(point)
+    inverse = np.zeros_like(normal)
+    inverse[used] = np.linalg.pinv(normal[used], hermitian=True)
+    return np.einsum("imn,nij,jmn->n", by_point, inverse[point], by_point)

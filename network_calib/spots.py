@@ -1,0 +1,105 @@
+"""Spots from cameras: latent positions of all frames, reprojection errors, and which detections agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from network_calib.cameras import Cameras, cam_from_img
+from network_calib.observations import BoolArray, FloatArray, IntArray, Observations
+from network_calib.triangulate import triangulate_robust
+
+
+@dataclass(frozen=True, slots=True)
+class SpotViews:
+    """Observations whose frames are numbered as points 0..F-1, each seen by two cameras or more.
+
+    Attributes:
+        observations: K rows sorted by frame, then camera.
+        point: (K,) point index.
+        frames: (F,) frame number of each point.
+        sigma_px: (K,) the detector's standard deviation, 1 where it gave none.
+    """
+
+    observations: Observations
+    point: IntArray
+    frames: IntArray
+    sigma_px: FloatArray
+
+    @classmethod
+    def of(cls, observations: Observations) -> SpotViews:
+        """Keep the frames with two views or more."""
+        kept = observations.in_frames_with_views(2)
+        frames, point = np.unique(kept.frame, return_inverse=True)
+        return cls(kept, point.astype(np.int64), frames, np.where(np.isnan(kept.sigma_px), 1.0, kept.sigma_px))
+
+    @property
+    def camera(self) -> IntArray:
+        return self.observations.camera
+
+    @property
+    def px(self) -> FloatArray:
+        return self.observations.px
+
+    @property
+    def n_points(self) -> int:
+        return len(self.frames)
+
+    @property
+    def n_cameras(self) -> int:
+        return self.observations.n_cameras
+
+    def select_points(self, is_kept: BoolArray) -> SpotViews:
+        """The views of the points where `is_kept` (F,) holds, renumbered."""
+        rows = is_kept[self.point]
+        number = np.cumsum(is_kept) - 1
+        return SpotViews(
+            self.observations.select(rows), number[self.point[rows]], self.frames[is_kept], self.sigma_px[rows]
+        )
+
+
+def reprojection_error(cameras: Cameras, views: SpotViews, points: FloatArray) -> FloatArray:
+    """(K, 2) predicted minus detected pixel for points (F, 3); infinite where the prediction is not valid."""
+    px, is_valid = cameras.img_from_world(views.camera, points[views.point])
+    return np.where(is_valid[:, None], px - views.px, np.inf)
+
+
+def locate(cameras: Cameras, views: SpotViews, tolerance_px: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Triangulate every spot robustly.
+
+    Args:
+        cameras: C cameras.
+        views: K observations.
+        tolerance_px: (K,) largest reprojection error of an honest observation.
+
+    Returns:
+        (F, 3) points, NaN where no two views agree, and (K,) which observations agree with their spot.
+    """
+    intrinsics = cameras.intrinsics[views.camera]
+    ray_xy, has_ray = cam_from_img(intrinsics, cameras.is_fisheye[views.camera], views.px)
+    rows = np.flatnonzero(has_ray)
+    # A pixel is worth less angle off the axis; 1 + r^2 is the projection's own stretch along the radius.
+    stretch = 1 + (ray_xy[rows] ** 2).sum(axis=1)
+    tolerance = tolerance_px[rows] / intrinsics[rows, 0] * np.maximum(stretch, 1.0)
+    points, _, agrees = triangulate_robust(
+        views.camera[rows],
+        views.point[rows],
+        ray_xy[rows],
+        cameras.rotations,
+        cameras.centres_in_world,
+        views.n_points,
+        tolerance=tolerance,
+    )
+    is_inlier = np.zeros(len(views.camera), dtype=bool)
+    is_inlier[rows] = agrees
+    error = np.linalg.norm(reprojection_error(cameras, views, points), axis=1)
+    is_inlier &= error <= tolerance_px
+    return drop_lonely(views, points, is_inlier)
+
+
+def drop_lonely(views: SpotViews, points: FloatArray, is_inlier: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """A spot needs two agreeing views: others lose their position, and their views are no inliers."""
+    n_views = np.bincount(views.point[is_inlier], minlength=views.n_points)
+    is_located = (n_views >= 2) & np.isfinite(points).all(axis=1)
+    return np.where(is_located[:, None], points, np.nan), is_inlier & is_located[views.point]
