@@ -90,10 +90,12 @@ def covariance(problem: Problem, state: State) -> Covariance:
         model = assembler.linearise(state)
         reduced, chunks = assembler.reduce(model, 0.0)
         shared = inverse_spd(reduced)
-        # (S + D'D)^-1 = C + N (D N)^-1 (D N)^-T N' with C the covariance under D step = 0.
-        null = problem.gauge_at(state).null
-        slack = null @ np.linalg.inv(model.gauge_rows @ null)
-        shared = shared - slack @ slack.T
+        # Whatever constraints the inverse was made with, the projection along the free directions gives that of the
+        # named gauge, symmetric and positive semidefinite by construction.
+        gauge = problem.gauge_at(state)
+        project = np.eye(len(shared)) - gauge.null @ np.linalg.solve(gauge.constraints @ gauge.null, gauge.constraints)
+        shared = project @ shared @ project.T
+        shared = (shared + shared.T) / 2
         points = [chunk.point_covariance(shared) for chunk in chunks]
         return Covariance(shared, np.concatenate(points) if points else np.zeros((0, 3, 3)))
 

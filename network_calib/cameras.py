@@ -1,6 +1,6 @@
 """Camera models: pinhole with radial-tangential distortion, and fisheye; alone and as a batch with poses.
 
-Axes of a camera frame are OpenCV's: x right, y down, z forward. Intrinsics are one row of eight numbers for every model,
+Axes of a camera frame are OpenCV's: x right, y down, z forward. Intrinsics are one row of eight numbers for any model,
     [focal_x, focal_y, centre_x, centre_y, d0, d1, d2, d3]      (px; d is without unit)
 where d is k1, k2, p1, p2 (radial-tangential, as in OpenCV's `projectPoints`) or k1..k4 (fisheye, as in `cv2.fisheye`).
 A lens model says which of the d may differ from zero.
@@ -93,7 +93,7 @@ class Cameras:
 
     def is_in_image(self, camera: IntArray, px: FloatArray) -> BoolArray:
         """(K,) whether pixels (K, 2) lie inside their camera's image."""
-        return ((px >= -0.5) & (px <= self.size_px[camera] - 0.5)).all(axis=-1)
+        return np.asarray(((px >= -0.5) & (px <= self.size_px[camera] - 0.5)).all(axis=-1))
 
 
 def poses_from_centres(rotations: FloatArray, centres_in_world: FloatArray) -> RigidTransform:
@@ -147,7 +147,7 @@ def img_from_cam(
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and so reported as invalid
         ray_xy = points_in_cam[..., :2] / np.where(z > 1e-12, z, np.nan)[..., None]
         px = intrinsics[..., :2] * distort(intrinsics[..., 4:], is_fisheye, ray_xy) + intrinsics[..., 2:4]
-    is_valid = np.isfinite(px).all(axis=-1)
+    is_valid = np.asarray(np.isfinite(px).all(axis=-1))
     return np.where(is_valid[..., None], px, np.nan), is_valid
 
 
@@ -171,7 +171,7 @@ def cam_from_img(
     distortion = np.broadcast_to(intrinsics[..., 4:], (*target.shape[:-1], 4))
     fisheye = np.broadcast_to(is_fisheye, target.shape[:-1])
     with np.errstate(over="ignore", invalid="ignore"):  # Newton's way from a pixel that has no ray may overflow
-        ray_xy = np.where(fisheye[..., None], _fisheye_ray(distortion, target), target)
+        ray_xy = np.where(fisheye[..., None], _fisheye_ray(distortion, target), target) if fisheye.any() else target
         if not fisheye.all():
             for _ in range(max_iterations):
                 error = distort(distortion, fisheye, ray_xy) - target

@@ -27,13 +27,14 @@ class GroupRows:
         rows: within the chunk's rows of the block.
         used: Jacobian columns that are free.
         targets: the chunk's columns that they belong to.
-        is_every_point: the group saw every point of the chunk, in order.
+        row_of_point: (P,) for each point of the chunk its row within `rows`, or their number where the group did not
+            see it; None when the group saw every point, in order.
     """
 
     rows: slice
     used: IntArray
     targets: IntArray
-    is_every_point: bool
+    row_of_point: IntArray | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +99,16 @@ def _choose_size(blocks: Sequence[PointBlock], n_points: int) -> int:
 
 def _cut_by_group(block: PointBlock, rows: slice, chunk: Chunk) -> BlockRows:
     group = block.group[rows]
+    local_point = block.point[rows] - chunk.points.start
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)] if len(group) else [0]
     groups = []
     for start, stop in zip(edges[:-1], edges[1:], strict=True):
         columns = block.columns[group[start]]
         used = np.flatnonzero(columns >= 0)
         targets = np.searchsorted(chunk.columns, columns[used])
-        groups.append(GroupRows(slice(start, stop), used, targets, stop - start == chunk.n_points))
-    return BlockRows(rows, block.point[rows] - chunk.points.start, tuple(groups))
+        row_of_point = None
+        if stop - start < chunk.n_points:
+            row_of_point = np.full(chunk.n_points, stop - start)
+            row_of_point[local_point[start:stop]] = np.arange(stop - start)
+        groups.append(GroupRows(slice(start, stop), used, targets, row_of_point))
+    return BlockRows(rows, local_point, tuple(groups))

@@ -9,7 +9,7 @@ import numpy as np
 
 from network_calib.blocks import PointBlock, Problem, State
 from network_calib.chunks import BlockRows, Chunk, cut
-from network_calib.observations import FloatArray
+from network_calib.observations import FloatArray, IntArray
 from network_calib.robust_loss import Loss
 from network_calib.schur import EliminatedChunk, EliminatedSystem, ReducedFactoriser, factor_3x3, solve_lower
 
@@ -185,17 +185,20 @@ def _coupling(chunk: Chunk, linear: _LinearChunk) -> FloatArray:
     coupling = np.zeros((len(chunk.columns), 3, chunk.n_points))
     for part, rows in zip(chunk.blocks, linear.rows, strict=True):
         for group in part.groups:
-            by_shared = rows.by_shared[group.used][:, :, group.rows]
-            by_point = rows.by_point[:, :, group.rows]
+            by_shared = _over_points(rows.by_shared[group.used][:, :, group.rows], group.row_of_point)
+            by_point = _over_points(rows.by_point[:, :, group.rows], group.row_of_point)
             product = by_shared[:, None, 0, :] * by_point[None, :, 0, :]
             for m in range(1, by_shared.shape[1]):
                 product += by_shared[:, None, m, :] * by_point[None, :, m, :]
-            if group.is_every_point:
-                coupling[group.targets] += product
-            else:
-                at = part.local_point[group.rows]
-                coupling[group.targets[:, None], :, at] += product.transpose(0, 2, 1)
+            coupling[group.targets] += product
     return coupling
+
+
+def _over_points(jacobian: FloatArray, row_of_point: IntArray | None) -> FloatArray:
+    """A group's Jacobian (D, m, n) spread over the chunk's points (D, m, P); zero where the group saw none."""
+    if row_of_point is None:
+        return jacobian
+    return np.take(np.pad(jacobian, ((0, 0), (0, 0), (0, 1))), row_of_point, axis=2)
 
 
 def _reweighted(loss: Loss, residual: FloatArray, by_shared: FloatArray, by_point: FloatArray) -> _Rows:

@@ -22,9 +22,17 @@ from network_calib.observations import BoolArray, FloatArray, IntArray
 from network_calib.priors import lens_prior
 from network_calib.robust_loss import CauchyLoss, Loss, SquaredLoss
 from network_calib.room_setup import CameraSetup, Knowledge
-from network_calib.spots import SpotViews, locate, reprojection_error
+from network_calib.spots import (
+    SpotViews,
+    drop_lonely,
+    locate,
+    normalised_error,
+    reprojection_error,
+    spot_leverage,
+)
 
-ROBUST_ROUNDS, EXACT_ROUNDS = 4, 12
+ROBUST_ROUNDS, EXACT_ROUNDS = 4, 10
+SETTLED_SHARE = 0.001
 # A Cauchy loss of 2.4 sigma keeps 95 % efficiency for Gaussian noise (Holland, Welsch 1977).
 ROBUST_SCALE = 2.4
 # Median of the norm of a 2D unit Gaussian.
@@ -53,7 +61,6 @@ class Refined:
     noise: FloatArray
     problem: Problem
     state: State
-    cost: float
     has_converged: bool
 
 
@@ -93,23 +100,47 @@ def refine(
 def _exact_rounds(
     setups: Sequence[CameraSetup], cameras: Cameras, views: SpotViews, noise: FloatArray, rejection: float
 ) -> Refined:
-    """Plain least squares over the inliers, re-judged until the mask and the noise stand still."""
+    """Plain least squares over the inliers, re-judged until the mask and the noise stand still; then to the optimum."""
     points, is_inlier = locate(cameras, views, rejection * noise[views.camera] * views.sigma_px)
-    for round_index in range(EXACT_ROUNDS):
-        is_last = round_index == EXACT_ROUNDS - 1
-        tolerance = 1e-5 if round_index == 0 else 1e-8
-        cameras, points, problem, solution = _solve(
-            setups, cameras, views, points, is_inlier, noise, SquaredLoss(), tolerance
+    for _ in range(EXACT_ROUNDS):
+        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-4)
+        previous_noise, noise = noise, estimate_noise(cameras, views, points, is_inlier, noise)
+        previous_inlier = is_inlier
+        sigma_px = noise[views.camera] * views.sigma_px
+        points, is_inlier = _judge(cameras, views, points, is_inlier, sigma_px, rejection)
+        n_changed = int((previous_inlier != is_inlier).sum())
+        if n_changed <= SETTLED_SHARE * len(is_inlier) and np.abs(np.log(noise / previous_noise)).max() < 0.02:
+            break
+    cameras, points, problem, solution = _solve(
+        setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-9
+    )
+    noise_now = estimate_noise(cameras, views, points, is_inlier, noise)
+    return Refined(cameras, points, is_inlier, noise_now, problem, solution.state, solution.has_converged)
+
+
+def _judge(
+    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, sigma_px: FloatArray, rejection: float
+) -> tuple[FloatArray, BoolArray]:
+    """Inliers by their normalised residual; spots that lose a view, or were not located, are triangulated anew.
+
+    Args:
+        cameras: as solved.
+        views: K observations.
+        points: (F, 3) as solved.
+        is_inlier: (K,) what the points rest on.
+        sigma_px: (K,) noise of each observation.
+        rejection: largest normalised residual.
+    """
+    agrees = normalised_error(cameras, views, points, is_inlier, sigma_px) <= rejection
+    is_doubtful = ~np.isfinite(points).all(axis=1)
+    is_doubtful[views.point[is_inlier & ~agrees]] = True
+    if is_doubtful.any():
+        rows = is_doubtful[views.point]
+        points = points.copy()
+        points[is_doubtful], agrees[rows] = locate(
+            cameras, views.select_points(is_doubtful), rejection * sigma_px[rows]
         )
-        noise_now = estimate_noise(cameras, views, points, is_inlier, noise)
-        limit_px = rejection * noise_now[views.camera] * views.sigma_px
-        new_points, judged = locate(cameras, views, limit_px)
-        is_settled = (judged != is_inlier).mean() < 1e-4 and np.abs(np.log(noise_now / noise)).max() < 0.01
-        if (is_settled and round_index > 0) or is_last:
-            return Refined(cameras, points, is_inlier, noise, problem, solution.state, solution.cost,
-                           solution.has_converged)
-        noise, points, is_inlier = noise_now, new_points, judged
-    raise AssertionError("unreachable")
+    return drop_lonely(views, points, agrees)
 
 
 def fit(
@@ -205,31 +236,16 @@ def estimate_noise(
     exact for known cameras; what the cameras themselves take is shared out evenly, 14 of some hundred to thousand.
     """
     rows = np.flatnonzero(is_inlier & np.isfinite(points[views.point]).all(axis=1))
-    camera, point = views.camera[rows], views.point[rows]
-    sigma = noise[camera] * views.sigma_px[rows]
-    whitened = reprojection_error(cameras, views, points)[rows] / views.sigma_px[rows, None]
-    leverage = _spot_leverage(cameras, camera, point, points, sigma)
-    squares = np.bincount(camera, (whitened**2).sum(axis=1), minlength=len(cameras))
-    redundancy = np.bincount(camera, 2 - leverage, minlength=len(cameras)) - 13
+    camera = views.camera[rows]
+    squares = np.bincount(camera, (_whitened(cameras, views, points)[rows] ** 2).sum(axis=1), minlength=len(cameras))
+    leverage = np.trace(spot_leverage(cameras, views, points, is_inlier, noise[views.camera] * views.sigma_px), axis1=1, axis2=2)
+    redundancy = np.bincount(camera, 2 - leverage[rows], minlength=len(cameras)) - 13
     typical = np.sqrt(squares.sum() / max(redundancy.sum(), 1.0))
     own = np.sqrt(squares / np.maximum(redundancy, 1.0))
-    return np.maximum(np.where(redundancy > 20, own, typical), MIN_SIGMA_PX)
+    # Two cameras see the same residual: it cannot be told whose noise it is.
+    is_told_apart = (redundancy > 20) & (len(cameras) > 2)
+    return np.maximum(np.where(is_told_apart, own, typical), MIN_SIGMA_PX)
 
 
-def _spot_leverage(
-    cameras: Cameras, camera: IntArray, point: IntArray, points: FloatArray, sigma: FloatArray
-) -> FloatArray:
-    """(K,) trace of J (sum J'J)^-1 J' over each spot's own coordinates."""
-    columns = np.full((len(cameras), 14), -1, dtype=np.int64)
-    block = CameraBlock(camera, point, np.zeros((2, len(camera))), 1 / sigma, columns)
-    parts = {PART: CameraParameters.from_cameras(cameras, columns)}
-    _, _, by_point = block.linearise(parts, np.ascontiguousarray(points[point].T), slice(0, len(camera)))
-    normal = np.zeros((len(points), 3, 3))
-    for i in range(3):
-        for j in range(3):
-            product = np.einsum("mn,mn->n", by_point[i], by_point[j])
-            normal[:, i, j] = np.bincount(point, product, minlength=len(points))
-    used = np.unique(point)
-    inverse = np.zeros_like(normal)
-    inverse[used] = np.linalg.pinv(normal[used], hermitian=True)
-    return np.einsum("imn,nij,jmn->n", by_point, inverse[point], by_point)
+def _whitened(cameras: Cameras, views: SpotViews, points: FloatArray) -> FloatArray:
+    return reprojection_error(cameras, views, points) / views.sigma_px[:, None]

@@ -89,7 +89,7 @@ class CalibratedCamera:
     @property
     def sigma(self) -> FloatArray:
         """(14,) standard deviations in the order of PARAMETER_NAMES."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def centre_in_world(self) -> FloatArray:

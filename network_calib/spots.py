@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from network_calib.camera_block import PART, CameraBlock
+from network_calib.camera_parameters import N_PARAMETERS, CameraParameters
 from network_calib.cameras import Cameras, cam_from_img
 from network_calib.observations import BoolArray, FloatArray, IntArray, Observations
 from network_calib.triangulate import triangulate_robust
@@ -103,3 +105,53 @@ def drop_lonely(views: SpotViews, points: FloatArray, is_inlier: BoolArray) -> t
     n_views = np.bincount(views.point[is_inlier], minlength=views.n_points)
     is_located = (n_views >= 2) & np.isfinite(points).all(axis=1)
     return np.where(is_located[:, None], points, np.nan), is_inlier & is_located[views.point]
+
+
+def spot_leverage(
+    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, sigma_px: FloatArray
+) -> FloatArray:
+    """(K, 2, 2) J C J': how uncertain each whitened prediction is through its spot, cameras taken as known.
+
+    C is the covariance of the spot from its inliers, J the whitened derivative of the pixel by the spot. For an inlier it
+    is the share of its own noise that the spot absorbs. Zero where the spot is not located.
+    """
+    is_located = np.isfinite(points).all(axis=1)
+    rows = np.flatnonzero(is_located[views.point])
+    camera, point = views.camera[rows], views.point[rows]
+    columns = np.full((len(cameras), N_PARAMETERS), -1, dtype=np.int64)
+    block = CameraBlock(camera, point, np.zeros((2, len(rows))), 1 / sigma_px[rows], columns)
+    parts = {PART: CameraParameters.from_cameras(cameras, columns)}
+    _, _, by_point = block.linearise(parts, np.ascontiguousarray(points[point].T), slice(0, len(rows)))
+    by_point = np.nan_to_num(by_point)
+    weight = is_inlier[rows].astype(np.float64)
+    normal = np.zeros((len(points), 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            product = weight * np.einsum("mn,mn->n", by_point[i], by_point[j])
+            normal[:, i, j] = normal[:, j, i] = np.bincount(point, product, minlength=len(points))
+    inverse = np.zeros_like(normal)
+    inverse[is_located] = np.linalg.pinv(normal[is_located], rcond=1e-12, hermitian=True)
+    leverage = np.zeros((len(views.point), 2, 2))
+    leverage[rows] = np.einsum("imn,nij,jkn->nmk", by_point, inverse[point], by_point, optimize=True)
+    return leverage
+
+
+def normalised_error(
+    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, sigma_px: FloatArray
+) -> FloatArray:
+    """(K,) length of each residual in units of its own standard deviation (2 degrees of freedom).
+
+    A residual that its spot was fitted to has covariance 1 - J C J' (whitened), one that was not has 1 + J C J'; so an
+    observation gets the same verdict whether it is in or out. Infinite where the spot is not located.
+    """
+    error = reprojection_error(cameras, views, points) / sigma_px[:, None]
+    sign = np.where(is_inlier, -1.0, 1.0)[:, None, None]
+    spread = np.eye(2) + sign * spot_leverage(cameras, views, points, is_inlier, sigma_px)
+    # A spot of two views leaves one direction of each residual empty: the small term keeps the inverse finite there.
+    spread[:, [0, 1], [0, 1]] += 1e-6
+    determinant = spread[:, 0, 0] * spread[:, 1, 1] - spread[:, 0, 1] * spread[:, 1, 0]
+    ex, ey = error.T
+    with np.errstate(invalid="ignore"):
+        squared = spread[:, 1, 1] * ex**2 - 2 * spread[:, 0, 1] * ex * ey + spread[:, 0, 0] * ey**2
+        out = np.sqrt(np.maximum(squared / determinant, 0.0))
+    return np.where(np.isfinite(out), out, np.inf)
