@@ -4,8 +4,8 @@ It knows nothing of cameras, lasers or clocks. A problem (`blocks.py`) is a list
 whitened residuals and their Jacobians. The latent points are eliminated (`linearisation.py`, `schur.py`) and the shared
 parameters solved by Levenberg-Marquardt with Marquardt's scaling and geodesic acceleration (Transtrum, Sethna,
 arXiv:1201.5885): self-calibration from spots has long curved valleys (focal length against distance, principal point
-against rotation) along which the plain method creeps. A gauge that the data leave free is named by the caller: it costs
-nothing in the solution, and the covariance is exactly that of the named gauge.
+against rotation) along which the plain method creeps. A gauge that the data leave free is held by the
+damping in the solve; the covariance is exactly that of the gauge that the caller names.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ _BLAS = ThreadpoolController()
 # The acceleration is trusted where it is at most this share of the step, in Marquardt's scale (Transtrum: 0.75).
 _MAX_ACCELERATION = 0.75
 _PROBE_FRACTION = 0.1
+# Holds the gauge's free directions, along which the gradient is zero: the step has no part in them. Rows of constraints
+# would do so too, but fill the reduced matrix of a long chain of cameras.
+MIN_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +92,11 @@ def covariance(problem: Problem, state: State) -> Covariance:
         assembler = Assembler(problem, state)
         model = assembler.linearise(state)
         reduced, chunks = assembler.reduce(model, 0.0)
+        gauge = problem.gauge_at(state)
+        reduced += model.shared_scale.mean() * gauge.constraints.T @ gauge.constraints
         shared = inverse_spd(reduced)
         # Whatever constraints the inverse was made with, the projection along the free directions gives that of the
         # named gauge, symmetric and positive semidefinite by construction.
-        gauge = problem.gauge_at(state)
         project = np.eye(len(shared)) - gauge.null @ np.linalg.solve(gauge.constraints @ gauge.null, gauge.constraints)
         shared = project @ shared @ project.T
         shared = (shared + shared.T) / 2
@@ -116,13 +120,13 @@ def _minimise(assembler: Assembler, start: State, options: SolverOptions) -> Sol
                     break
                 if _predicted_decrease(model, step, damping) < options.cost_tolerance * cost:
                     return Solution(state, cost, iteration, has_converged=True)
-            damping = max(damping, 1e-12) * 8
+            damping *= 8
             if damping > 1e10:
                 return Solution(state, cost, iteration, has_converged=False)
         decrease, state, cost = cost - moved_cost, moved, moved_cost
         if decrease <= options.cost_tolerance * cost:
             return Solution(state, cost, iteration, has_converged=True)
-        damping = damping / 10
+        damping = max(damping / 10, MIN_DAMPING)
     return Solution(state, cost, options.max_iterations, has_converged=False)
 
 
@@ -155,11 +159,12 @@ def _accelerated(
 
 
 def _scaled_norm(model: Linearisation, shared: FloatArray, points: FloatArray) -> float:
-    return float(np.sqrt(shared @ (model.shared_scale * shared) + np.sum(points * model.point_scale * points)))
+    square = float(shared @ (model.shared_scale * shared)) + float(np.sum(points * model.point_scale * points))
+    return square**0.5
 
 
 def _predicted_decrease(model: Linearisation, step: tuple[FloatArray, FloatArray], damping: float) -> float:
     """What the linear model promises for its own step: (damping step' D step + step' gradient) / 2."""
     shared, points = step
-    along = shared @ model.shared_gradient + float(np.sum(points * model.point_gradient))
+    along = float(shared @ model.shared_gradient) + float(np.sum(points * model.point_gradient))
     return 0.5 * (damping * _scaled_norm(model, shared, points) ** 2 + along)

@@ -1,42 +1,36 @@
-"""The calibration of a camera network as a list of steps (Svoboda, Martinec, Pajdla 2005; see the package docstring)."""
+"""The calibration of a camera network as a list of steps (Svoboda, Martinec, Pajdla 2005; see the package)."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
-from scipy.linalg import LinAlgError
 
 from network_calib import doubts, quality
-from network_calib.anchor import anchor_start
-from network_calib.bundle import Covariance, covariance
-from network_calib.cameras import Cameras, cam_from_img
-from network_calib.errors import ConvergenceError, DegenerateError, InputError, SpotcalError
-from network_calib.observations import FloatArray, Observations
-from network_calib.pairs import PairGraph, verify_pairs
+from network_calib.cameras import Cameras
+from network_calib.errors import ConvergenceError, DegenerateError
+from network_calib.observations import Observations
+from network_calib.optimum import Network, Progress, explained, optimise
+from network_calib.quality import Holdout
 from network_calib.refine import Refined, refine
-from network_calib.refusals import (
-    refuse_bad_input,
-    refuse_disagreement,
-    refuse_flat,
-    refuse_islands,
-    refuse_unobservable,
+from network_calib.refusals import refuse_bad_input, refuse_unobservable
+from network_calib.result import (
+    CalibratedCamera,
+    Calibration,
+    CameraQuality,
+    Doubt,
+    NetworkQuality,
+    Provenance,
 )
-from network_calib.result import CalibratedCamera, Calibration, NetworkQuality, Provenance, Warning
-from network_calib.room_setup import Anchor, CameraSetup, KnownDistance, Knowledge, Options, UnitScale
+from network_calib.room_setup import Anchor, CameraSetup, Knowledge, Options, UnitScale
 from network_calib.spots import SpotViews
-from network_calib.start import Start, StartProblem
-from network_calib.svoboda_start import factorisation_start
 from network_calib.sync import estimate_time_offsets
-from network_calib.world import in_world, covariance_problem
-
-Progress = Callable[[str, float], None]
-# Within which a start may be off, and detections may be bent by an unknown lens.
-START_TOLERANCE_PX = 4.0
+from network_calib.uncertainty import Uncertainty, uncertainty
+from network_calib.world import in_world
 
 
 def calibrate(
@@ -70,64 +64,29 @@ def calibrate(
     anchor, options, report = anchor or UnitScale(), options or Options(), progress or (lambda _step, _part: None)
     views = SpotViews.of(observations)
     refuse_bad_input(observations, setups, views)
-
-    report("pairwise verification", 0.0)
-    network = _optimise(setups, views, anchor, options, seed, report)
-    refuse_flat(setups, network.refined.points)
+    try:
+        network = optimise(setups, views, anchor=anchor, options=options, seed=seed, progress=report)
+    except (DegenerateError, ConvergenceError) as error:
+        report("looking for the reason", 0.5)
+        raise explained(error, setups, observations, anchor=anchor, options=options, seed=seed) from error
 
     report("world frame and covariance", 0.55)
-    world_frame, refined = in_world(network.refined, views, anchor, options)
-    spread = _covariance(refined, setups, views, anchor)
-    focal_px, focal_sigma_px = refined.cameras.intrinsics[:, 0], np.sqrt(np.diagonal(spread.cameras, 0, 1, 2)[:, 6])
-    refuse_unobservable(setups, focal_px, focal_sigma_px)
+    world, refined = in_world(network.refined, views, anchor, options)
+    spread = uncertainty(refined, setups, views, anchor)
+    refuse_unobservable(setups, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px)
 
     report("hold-out", 0.65)
     held = quality.hold_out(setups, refined, views, share=options.holdout_share)
-    qualities = quality.camera_qualities(setups, refined, views, held)
-    report("repeats", 0.75)
-    centre_spread, focal_spread_px = _repeat_spread(setups, views, anchor, options, seed, refined)
-
+    report("repeats", 0.7)
+    repeat_spread = _repeat_spread(setups, views, anchor, options, seed, refined)
     report("checks", 0.95)
-    fitted, holdout = quality.overall_error(refined, views), quality.overall_holdout(held)
-    rows = np.flatnonzero(refined.is_inlier)
-    offsets = estimate_time_offsets(refined.problem, refined.state, views, rows)
-    warnings = (
-        *_convergence_doubt(refined),
-        *doubts.about_cameras(setups, qualities, focal_px, focal_sigma_px),
-        *doubts.about_geometry(network.graph, refined.cameras),
-        *doubts.about_holdout(fitted, holdout, held.agreeing_share),
-        *doubts.about_time(observations.camera_names, offsets),
-        *doubts.about_given_intrinsics(setups, _freed(setups, refined, views, options)),
-    )
-    spot_sigma = np.sqrt(np.linalg.eigvalsh(spread.points)[:, -1])
+    qualities = quality.camera_qualities(setups, refined, views, held)
+    warnings = _doubts(setups, views, options, network, refined, spread, qualities, held)
     report("done", 1.0)
     return Calibration(
-        cameras=tuple(
-            CalibratedCamera(
-                name=setup.name,
-                size_px=setup.size_px,
-                lens=setup.lens,
-                intrinsics=refined.cameras.intrinsics[c],
-                cam_from_world=refined.cameras.cam_from_world[c],
-                covariance=spread.cameras[c],
-                is_intrinsics_fixed=setup.knowledge is Knowledge.FIXED,
-                quality=qualities[c],
-            )
-            for c, setup in enumerate(setups)
-        ),
-        world=world_frame,
-        quality=NetworkQuality(
-            n_points=len(np.unique(views.point[rows])),
-            n_observations=len(views.point),
-            n_inliers=len(rows),
-            fitted=fitted,
-            holdout=holdout,
-            chi2_per_dof=quality.chi2_per_dof(refined, views, ~np.isnan(views.observations.sigma_px)),
-            spot_sigma_median=float(np.median(spot_sigma)),
-            spot_sigma_p95=float(np.percentile(spot_sigma, 95)),
-            repeat_centre_spread=centre_spread,
-            repeat_focal_spread_px=focal_spread_px,
-        ),
+        cameras=_calibrated_cameras(setups, refined, spread, qualities),
+        world=world,
+        quality=_network_quality(views, refined, spread, held, repeat_spread),
         warnings=warnings,
         provenance=Provenance(
             program_version=program_version(),
@@ -141,124 +100,63 @@ def calibrate(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Network:
-    """The optimum with what led to it."""
-
-    graph: PairGraph
-    start: Start
-    refined: Refined
-
-
-@dataclass(frozen=True, slots=True)
-class _Spread:
-    """Covariances: (C, 14, 14) of the cameras, (F', 3, 3) of the located spots."""
-
-    cameras: FloatArray
-    points: FloatArray
-
-
-def start_problem(setups: Sequence[CameraSetup], views: SpotViews) -> StartProblem:
-    """The observations as nominal rays; those without a ray (beyond a given lens's rim) are refused.
-
-    Raises:
-        InputError: given intrinsics under which detections have no ray.
-    """
-    intrinsics = np.stack([setup.nominal_intrinsics() for setup in setups])
-    is_fisheye = np.array([setup.lens.is_fisheye for setup in setups])
-    ray_xy, has_ray = cam_from_img(intrinsics[views.camera], is_fisheye[views.camera], views.px)
-    if not has_ray.all():
-        k = int(np.flatnonzero(~has_ray)[0])
-        raise InputError(
-            f"camera {setups[views.camera[k]].name}: no ray leads to pixel {views.px[k].round(1)} "
-            f"in frame {views.observations.frame[k]} through the given lens",
-            advice="Check the given distortion and resolution, or leave the intrinsics unknown.",
+def _calibrated_cameras(
+    setups: Sequence[CameraSetup], refined: Refined, spread: Uncertainty, qualities: Sequence[CameraQuality]
+) -> tuple[CalibratedCamera, ...]:
+    return tuple(
+        CalibratedCamera(
+            name=setup.name,
+            size_px=setup.size_px,
+            lens=setup.lens,
+            intrinsics=refined.cameras.intrinsics[c],
+            cam_from_world=refined.cameras.cam_from_world[c],
+            covariance=spread.cameras[c],
+            is_intrinsics_fixed=setup.knowledge is Knowledge.FIXED,
+            quality=qualities[c],
         )
-    return StartProblem(
-        camera=views.camera,
-        point=views.point,
-        ray_xy=ray_xy,
-        tolerance=START_TOLERANCE_PX / intrinsics[:, 0],
-        is_focal_known=np.array([setup.knowledge is not Knowledge.UNKNOWN for setup in setups]),
-        names=views.observations.camera_names,
+        for c, setup in enumerate(setups)
     )
 
 
-def _optimise(
-    setups: Sequence[CameraSetup], views: SpotViews, anchor: Anchor, options: Options, seed: int, report: Progress
-) -> _Network:
-    """From observations to the joint optimum, by the start that works."""
-    problem = start_problem(setups, views)
-    graph = verify_pairs(problem, rng=np.random.default_rng(seed))
-    refuse_islands(graph)
-    failures: list[SpotcalError] = []
-    for method in _methods(graph, options):
-        report(f"start by {method}", 0.1)
-        try:
-            start = _start(method, problem, graph, anchor, seed)
-            report("joint solve", 0.25)
-            refined = refine(setups, started_cameras(setups, start), views, rejection=options.rejection)
-            shares = _inlier_share(refined, views)
-            refuse_disagreement(graph, shares)
-        except (DegenerateError, ConvergenceError) as error:
-            failures.append(error)
-            continue
-        return _Network(graph, start, refined)
-    raise failures[0]
-
-
-def _methods(graph: PairGraph, options: Options) -> tuple[str, ...]:
-    """Which starts to try, in order. Factorisation wants everyone to share with (nearly) everyone."""
-    if options.start != "auto":
-        return (options.start,)
-    n = len(graph.names)
-    is_dense = n > 2 and len(graph.pairs) >= 0.8 * n * (n - 1) / 2
-    return ("factorisation", "anchor") if is_dense and n <= 12 else ("anchor", "factorisation")
-
-
-def _start(method: str, problem: StartProblem, graph: PairGraph, anchor: Anchor, seed: int) -> Start:
-    rng = np.random.default_rng(seed)
-    if method == "factorisation":
-        return factorisation_start(problem, graph, rng=rng)
-    if method != "anchor":
-        raise InputError(f"unknown start {method!r}, expected auto, factorisation or anchor")
-    pair = None
-    if isinstance(anchor, KnownDistance) and anchor.is_stereo_pair:
-        pair = (problem.names.index(anchor.camera_a), problem.names.index(anchor.camera_b))
-    return anchor_start(problem, graph, rng=rng, seed_pair=pair)
-
-
-def started_cameras(setups: Sequence[CameraSetup], start: Start) -> Cameras:
-    """Nominal cameras with the start's poses and focal lengths."""
-    intrinsics = np.stack([setup.nominal_intrinsics() for setup in setups])
-    intrinsics[:, :2] *= start.focal_ratio[:, None]
-    return Cameras(
-        names=tuple(setup.name for setup in setups),
-        size_px=np.array([setup.size_px for setup in setups], dtype=np.int64),
-        lenses=tuple(setup.lens for setup in setups),
-        intrinsics=intrinsics,
-        cam_from_world=start.cam_from_world,
+def _network_quality(
+    views: SpotViews, refined: Refined, spread: Uncertainty, held: Holdout, repeat_spread: tuple[float, float]
+) -> NetworkQuality:
+    rows = np.flatnonzero(refined.is_inlier)
+    return NetworkQuality(
+        n_points=len(np.unique(views.point[rows])),
+        n_observations=len(views.point),
+        n_inliers=len(rows),
+        fitted=quality.overall_error(refined, views),
+        holdout=quality.overall_holdout(held),
+        chi2_per_dof=quality.chi2_per_dof(refined, views, ~np.isnan(views.observations.sigma_px)),
+        spot_sigma_median=float(np.median(spread.spot_sigma)),
+        spot_sigma_p95=float(np.percentile(spread.spot_sigma, 95)),
+        repeat_centre_spread=repeat_spread[0],
+        repeat_focal_spread_px=repeat_spread[1],
     )
 
 
-def _inlier_share(refined: Refined, views: SpotViews) -> FloatArray:
-    n_own = np.bincount(views.camera, minlength=views.n_cameras)
-    return np.bincount(views.camera[refined.is_inlier], minlength=views.n_cameras) / np.maximum(n_own, 1)
-
-
-def _covariance(refined: Refined, setups: Sequence[CameraSetup], views: SpotViews, anchor: Anchor) -> _Spread:
-    """Covariances in the world frame, cut by camera."""
-    problem, state = covariance_problem(refined, setups, views, anchor)
-    try:
-        joint: Covariance = covariance(problem, state)
-    except LinAlgError as error:
-        raise DegenerateError(
-            "the observations leave some direction of the calibration free",
-            advice="Wave through the whole volume, in view of several cameras at once.",
-        ) from error
-    columns = problem.point_blocks[0].columns
-    padded = np.pad(joint.shared, ((0, 1), (0, 1)))
-    return _Spread(padded[columns[:, :, None], columns[:, None, :]], joint.points)
+def _doubts(
+    setups: Sequence[CameraSetup],
+    views: SpotViews,
+    options: Options,
+    network: Network,
+    refined: Refined,
+    spread: Uncertainty,
+    qualities: Sequence[CameraQuality],
+    held: Holdout,
+) -> tuple[Doubt, ...]:
+    """Everything that a person should know before trusting the result."""
+    offsets = estimate_time_offsets(refined.problem, refined.state, views, np.flatnonzero(refined.is_inlier))
+    fitted, holdout = quality.overall_error(refined, views), quality.overall_holdout(held)
+    return (
+        *doubts.about_convergence(refined.has_converged, network.twin_cost_ratio),
+        *doubts.about_cameras(setups, qualities, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px),
+        *doubts.about_geometry(network.graph, refined.cameras),
+        *doubts.about_holdout(fitted, holdout, held.agreeing_share),
+        *doubts.about_time(network.graph.names, offsets),
+        *doubts.about_given_intrinsics(setups, _freed(setups, refined, views, options)),
+    )
 
 
 def _repeat_spread(
@@ -267,7 +165,7 @@ def _repeat_spread(
     """Largest differences of centres and focal lengths to runs with the next seeds."""
     centre, focal_px = [], []
     for other_seed in range(seed + 1, seed + options.n_repeats):
-        network = _optimise(setups, views, anchor, options, other_seed, lambda _step, _part: None)
+        network = optimise(setups, views, anchor=anchor, options=options, seed=other_seed)
         _, other = in_world(network.refined, views, anchor, options)
         offset = other.cameras.centres_in_world - refined.cameras.centres_in_world
         centre.append(float(np.linalg.norm(offset, axis=1).max()))
@@ -281,12 +179,6 @@ def _freed(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, op
         return refined.cameras
     freed = [replace(s, knowledge=Knowledge.INITIAL) if s.knowledge is Knowledge.FIXED else s for s in setups]
     return refine(freed, refined.cameras, views, rejection=options.rejection).cameras
-
-
-def _convergence_doubt(refined: Refined) -> tuple[Warning, ...]:
-    if refined.has_converged:
-        return ()
-    return (Warning("convergence", "the joint solve stopped before it settled", "Wave longer; report this recording."),)
 
 
 def program_version() -> str:

@@ -5,13 +5,13 @@ Arrays are stored with the observation as the last axis, so that every operation
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from network_calib.blocks import Parts
 from network_calib.camera_parameters import N_PARAMETERS, CameraParameters
-from network_calib.observations import FloatArray, IntArray
+from network_calib.observations import BoolArray, FloatArray, IntArray
 from network_calib.robust_loss import Loss, SquaredLoss
 
 PART = "cameras"
@@ -35,7 +35,7 @@ class CameraBlock:
     px: FloatArray
     inverse_sigma: FloatArray
     columns: IntArray
-    loss: Loss = SquaredLoss()
+    loss: Loss = field(default_factory=SquaredLoss)
 
     def take(self, rows: IntArray) -> CameraBlock:
         """The block with its rows reordered or thinned."""
@@ -120,7 +120,7 @@ def _normalise(
     return x * inverse_z, y * inverse_z, inverse_z
 
 
-def _distort(optics: FloatArray, is_fisheye: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _distort(optics: FloatArray, is_fisheye: BoolArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     k1, k2, p1, p2 = optics[4:]
     r2 = u * u + v * v
     radial = 1 + r2 * (k1 + r2 * k2)
@@ -151,7 +151,7 @@ def _fisheye_scale(optics: FloatArray, r2: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _distortion_slope(
-    optics: FloatArray, is_fisheye: FloatArray, u: FloatArray, v: FloatArray
+    optics: FloatArray, is_fisheye: BoolArray, u: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Entries 00, 01 (= 10), 11 of the derivative of the distorted by the undistorted coordinates."""
     k1, k2, p1, p2 = optics[4:]
@@ -169,7 +169,7 @@ def _distortion_slope(
 
 
 def _by_distortion(
-    out: FloatArray, is_fisheye: FloatArray, u: FloatArray, v: FloatArray, focal_x: FloatArray, focal_y: FloatArray
+    out: FloatArray, is_fisheye: BoolArray, u: FloatArray, v: FloatArray, focal_x: FloatArray, focal_y: FloatArray
 ) -> None:
     """Fill (4, 2, n): derivative of the pixel by d0..d3."""
     r2 = u * u + v * v

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -102,9 +103,11 @@ def _cut_by_group(block: PointBlock, rows: slice, chunk: Chunk) -> BlockRows:
     local_point = block.point[rows] - chunk.points.start
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)] if len(group) else [0]
     groups = []
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in pairwise(edges):
         columns = block.columns[group[start]]
         used = np.flatnonzero(columns >= 0)
+        if not len(used):
+            continue
         targets = np.searchsorted(chunk.columns, columns[used])
         row_of_point = None
         if stop - start < chunk.n_points:

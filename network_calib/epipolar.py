@@ -192,11 +192,11 @@ def _arrow_step(
     reduced = hessian[:, 9:, 9:] - hessian[:, 9:, :9] @ solved[:, :, :2]
     rhs = gradient[:, 9:] - (hessian[:, 9:, :9] @ solved[:, :, 2:])[..., 0]
     ends = np.stack([rays.a, rays.b], axis=1)
-    # In units of a robust residual's scale of half a tolerance, the prior of a bend weighs (0.5 / sigma)^2.
-    matrix = np.diag(np.where(is_bend_fixed, 1e12, (0.5 / BEND_SIGMA) ** 2))
+    # Residuals are in tolerances, of which an honest standard deviation is about a fifth.
+    matrix = np.diag(np.where(is_bend_fixed, 1e12, (0.2 / BEND_SIGMA) ** 2))
     vector = -matrix.diagonal() * bend
     np.add.at(matrix, (ends[:, :, None], ends[:, None, :]), reduced)
     np.add.at(vector, ends, -rhs)
-    bend_step = np.linalg.solve(matrix, vector)
+    bend_step = np.linalg.solve(matrix, vector).astype(np.float64)
     step = -solved[:, :, 2] - (solved[:, :, :2] @ bend_step[ends][..., None])[..., 0]
     return step.reshape(n_pairs, 3, 3), bend_step

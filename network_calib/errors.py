@@ -3,6 +3,7 @@
     SpotcalError                  what went wrong, and what to do next
     ├── InputError                a file, table or configuration cannot be used as it is
     ├── DegenerateError           the geometry does not determine the answer; says where to wave next
+    │   └── FlatError             the spot moved in a plane or along a line
     └── ConvergenceError          the solve did not reach an optimum worth reporting
 
 The command line prints `message` and `advice` and exits with status 2; anything else that escapes is a defect.
@@ -29,6 +30,10 @@ class InputError(SpotcalError):
 
 class DegenerateError(SpotcalError):
     """Observations that do not determine the calibration: says why, and where to wave next."""
+
+
+class FlatError(DegenerateError):
+    """Spots that lie in a plane or on a line: wrong worlds fit them."""
 
 
 class ConvergenceError(SpotcalError):

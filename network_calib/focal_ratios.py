@@ -35,7 +35,7 @@ class _Evidence:
     fundamental: FloatArray
     spread: FloatArray
 
-    def of(self, camera: int) -> _Evidence:
+    def of(self, camera: np.intp) -> _Evidence:
         own = (self.ends == camera).any(axis=1)
         return _Evidence(self.ends[own], self.fundamental[own], self.spread[own])
 
@@ -53,7 +53,7 @@ def focal_ratios(graph: PairGraph, is_focal_known: BoolArray) -> FloatArray:
     log_ratio = np.zeros(len(is_focal_known))
     pairs = sorted(graph.pairs, key=lambda pair: -pair.n_inliers)[:MAX_PAIRS]
     free = np.flatnonzero(~is_focal_known)
-    if not len(free) or not pairs:
+    if not free.size or not pairs:
         return np.exp(log_ratio)
     fundamental = np.array([pair.fundamental for pair in pairs])
     spread = _covariances(fundamental, np.array([pair.information for pair in pairs]))

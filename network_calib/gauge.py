@@ -1,7 +1,7 @@
 """The gauge: seven directions that no image can see, how they are named, and how a world frame is chosen.
 
-During the solve all poses are free and the seven directions are held by inner constraints (the shortest step). The result
-is moved into the frame that the user asked for by one similarity; it never bends the calibration.
+During the solve all poses are free and the seven directions are held by inner constraints (the shortest step). The
+result is moved into the frame that the user asked for by one similarity; it never bends the calibration.
 """
 
 from __future__ import annotations

@@ -39,14 +39,12 @@ class Linearisation:
         shared_gradient: (n,) minus J'r.
         point_gradient: (3, F) minus J'r.
         chunks: the Jacobians, chunk by chunk.
-        gauge_rows: (g, n) constraint rows, weighted like the information along them.
     """
 
     normal: FloatArray
     shared_gradient: FloatArray
     point_gradient: FloatArray
     chunks: list[_LinearChunk]
-    gauge_rows: FloatArray
 
     @property
     def shared_scale(self) -> FloatArray:
@@ -84,12 +82,10 @@ class Assembler:
     def linearise(self, state: State) -> Linearisation:
         """Jacobians and normal equations at a state."""
         n = state.n_shared
-        model = Linearisation(np.zeros((n, n)), np.zeros(n), np.zeros((3, self.n_points)), [], np.zeros((0, n)))
+        model = Linearisation(np.zeros((n, n)), np.zeros(n), np.zeros((3, self.n_points)), [])
         self._add_shared_blocks(state, model)
         for chunk in self.chunks:
             model.chunks.append(self._linearise_chunk(state, chunk, model))
-        weight = np.sqrt(max(float(model.shared_scale.mean()), 1e-300)) if n else 1.0
-        model.gauge_rows = weight * self.problem.gauge_at(state).constraints
         return model
 
     def eliminate(self, model: Linearisation, damping: float) -> tuple[EliminatedSystem, list[EliminatedChunk]]:
@@ -102,10 +98,9 @@ class Assembler:
         return EliminatedSystem(eliminated, self._factoriser.factor(reduced)), eliminated
 
     def reduce(self, model: Linearisation, damping: float) -> tuple[FloatArray, list[EliminatedChunk]]:
-        """The reduced matrix (n, n), gauge rows included, and the eliminated chunks."""
+        """The reduced matrix (n, n) and the eliminated chunks."""
         reduced = model.normal.copy()
         reduced[np.diag_indices_from(reduced)] += damping * model.shared_scale
-        reduced += model.gauge_rows.T @ model.gauge_rows
         eliminated = []
         for chunk, linear in zip(self.chunks, model.chunks, strict=True):
             damped = linear.normal.copy()

@@ -44,21 +44,13 @@ class LensPrior:
 
 def lens_prior(setups: Sequence[CameraSetup], parameters: CameraParameters) -> LensPrior:
     """The prior on every free entry of the optics that has one; shared intrinsics are counted once."""
-    rows = []
-    seen: set[int] = set()
-    for c, setup in enumerate(setups):
-        expected = optics_of(setup.nominal_intrinsics())
-        sigma = prior_sigma(setup)
-        for entry in range(len(expected)):
-            column = int(parameters.columns[c, N_POSE + entry])
-            if column >= 0 and column not in seen and np.isfinite(sigma[entry]):
-                seen.add(column)
-                rows.append((c, entry, expected[entry], sigma[entry], column))
-    camera, entry, expected, sigma, column = (np.array(v) for v in zip(*rows, strict=True)) if rows else _NO_ROWS
-    return LensPrior(camera, entry, expected, sigma, column[:, None])
-
-
-_NO_ROWS = (*(np.zeros(0, dtype=np.int64),) * 2, *(np.zeros(0),) * 2, np.zeros(0, dtype=np.int64))
+    columns = parameters.columns[:, N_POSE:]
+    expected = np.stack([optics_of(setup.nominal_intrinsics()) for setup in setups])
+    sigma = np.stack([prior_sigma(setup) for setup in setups])
+    camera, entry = np.nonzero((columns >= 0) & np.isfinite(sigma))
+    column, first = np.unique(columns[camera, entry], return_index=True)
+    camera, entry = camera[first], entry[first]
+    return LensPrior(camera, entry, expected[camera, entry], sigma[camera, entry], column[:, None])
 
 
 def optics_of(intrinsics: FloatArray) -> FloatArray:

@@ -36,7 +36,7 @@ class Holdout:
 def hold_out(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, *, share: float) -> Holdout:
     """Fit without a share of the trajectory, in contiguous segments; triangulate these and measure them."""
     segment = np.arange(views.n_points) * N_SEGMENTS // max(views.n_points, 1)
-    every = max(int(round(1 / share)), 2) if share > 0 else N_SEGMENTS + 1
+    every = max(round(1 / share), 2) if share > 0 else N_SEGMENTS + 1
     is_held = segment % every == every // 2
     error_px = np.full(len(views.point), np.nan)
     if not is_held.any():

@@ -26,6 +26,7 @@ from network_calib.spots import (
     SpotViews,
     drop_lonely,
     locate,
+    located,
     normalised_error,
     reprojection_error,
     spot_leverage,
@@ -111,9 +112,7 @@ def _exact_rounds(
         n_changed = int((previous_inlier != is_inlier).sum())
         if n_changed <= SETTLED_SHARE * len(is_inlier) and np.abs(np.log(noise / previous_noise)).max() < 0.02:
             break
-    cameras, points, problem, solution = _solve(
-        setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-9
-    )
+    cameras, points, problem, solution = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-9)
     noise_now = estimate_noise(cameras, views, points, is_inlier, noise)
     return Refined(cameras, points, is_inlier, noise_now, problem, solution.state, solution.has_converged)
 
@@ -132,7 +131,7 @@ def _judge(
         rejection: largest normalised residual.
     """
     agrees = normalised_error(cameras, views, points, is_inlier, sigma_px) <= rejection
-    is_doubtful = ~np.isfinite(points).all(axis=1)
+    is_doubtful = ~located(points)
     is_doubtful[views.point[is_inlier & ~agrees]] = True
     if is_doubtful.any():
         rows = is_doubtful[views.point]
@@ -167,7 +166,7 @@ def _solve(
 ) -> tuple[Cameras, FloatArray, Problem, Solution]:
     is_located = np.zeros(views.n_points, dtype=bool)
     is_located[views.point[is_inlier]] = True
-    is_located &= np.isfinite(points).all(axis=1)
+    is_located &= located(points)
     rows = np.flatnonzero(is_inlier & is_located[views.point])
     if len(rows) < 3 * len(cameras):
         raise ConvergenceError(f"only {len(rows)} observations agree with the start: no calibration rests on so few")
@@ -235,10 +234,12 @@ def estimate_noise(
     Of 2 residuals each observation loses what its spot's three coordinates take: its leverage. The spots' leverages are
     exact for known cameras; what the cameras themselves take is shared out evenly, 14 of some hundred to thousand.
     """
-    rows = np.flatnonzero(is_inlier & np.isfinite(points[views.point]).all(axis=1))
+    rows = np.flatnonzero(is_inlier & located(points)[views.point])
     camera = views.camera[rows]
     squares = np.bincount(camera, (_whitened(cameras, views, points)[rows] ** 2).sum(axis=1), minlength=len(cameras))
-    leverage = np.trace(spot_leverage(cameras, views, points, is_inlier, noise[views.camera] * views.sigma_px), axis1=1, axis2=2)
+    leverage = np.trace(
+        spot_leverage(cameras, views, points, is_inlier, noise[views.camera] * views.sigma_px), axis1=1, axis2=2
+    )
     redundancy = np.bincount(camera, 2 - leverage[rows], minlength=len(cameras)) - 13
     typical = np.sqrt(squares.sum() / max(redundancy.sum(), 1.0))
     own = np.sqrt(squares / np.maximum(redundancy, 1.0))

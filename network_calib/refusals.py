@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
-from network_calib.errors import DegenerateError, InputError
-from network_calib.observations import FloatArray, Observations
+from network_calib.cameras import Cameras, cam_from_img
+from network_calib.errors import DegenerateError, FlatError, InputError
+from network_calib.observations import BoolArray, FloatArray, Observations
 from network_calib.pairs import PairGraph
 from network_calib.room_setup import CameraSetup, Knowledge
 from network_calib.spots import SpotViews
 
 # A camera has up to 13 unknowns and each of its observations gives little more than one equation of its own.
 MIN_OBSERVATIONS = 30
-# Third against first principal extent of the waved volume: a plane held by hand keeps to about 1 %.
-PLANE_EXTENT, LINE_EXTENT = 0.01, 0.01
+# Departure from a plane or a line over the extent in the image; a plane held by hand keeps to about 1 %.
+MIN_PLANE_DEPARTURE, MIN_LINE_DEPARTURE = 0.03, 0.05
+# Pairs looked at for each camera: enough for a median in a network of hundreds.
+MAX_PARTNERS = 6
+# Of the located spots of a room with 10 % false detections some percent are false and lie anywhere.
+SPOT_SHARE, PLANE_ROUNDS = 0.9, 8
 MAX_RELATIVE_FOCAL_SIGMA = 0.1
 MIN_INLIER_SHARE = 0.5
+# A detector's noise is some tenths of a pixel; a camera ten times as noisy as the rest and beyond this is in error.
+MAX_NOISE_PX, MAX_NOISE_RATIO = 5.0, 10.0
 
 
 def refuse_bad_input(observations: Observations, setups: Sequence[CameraSetup], views: SpotViews) -> None:
@@ -68,30 +76,61 @@ def refuse_islands(graph: PairGraph) -> None:
     )
 
 
-def refuse_flat(setups: Sequence[CameraSetup], points: FloatArray) -> None:
-    """Waving in a plane or along a line. A plane stays a plane in a wrong world too, so the check holds there.
+def refuse_flat(setups: Sequence[CameraSetup], cameras: Cameras, views: SpotViews, is_inlier: BoolArray) -> None:
+    """Waving in a plane or along a line.
+
+    Judged in the images, where a wrong world cannot hide it: when the spots of two views are one homography apart, they
+    lie in a plane (or the cameras in one place).
+
+    Args:
+        setups: what is known of each camera.
+        cameras: as solved; only their intrinsics count.
+        views: K observations.
+        is_inlier: (K,).
 
     Raises:
-        DegenerateError: the located spots are flat and some intrinsics are unknown, or lie on a line.
+        FlatError: the spots are flat and some intrinsics are unknown, or lie on a line.
     """
-    located = points[np.isfinite(points).all(axis=1)]
-    # A few spots with a bad triangulation must not make a volume of a plane.
-    near = located - np.median(located, axis=0)
-    size = np.linalg.norm(near, axis=1)
-    near = near[size <= np.quantile(size, 0.98)]
-    extent = np.linalg.svd(near, compute_uv=False)
-    if extent[1] < LINE_EXTENT * extent[0]:
-        raise DegenerateError(
-            f"the spot moved along a line (second extent {100 * extent[1] / extent[0]:.2f} % of the first): "
+    departures = np.array(_departures_from_plane(cameras, views, is_inlier))
+    if not len(departures):
+        return
+    from_line, from_plane = np.median(departures, axis=0)
+    if from_line < MIN_LINE_DEPARTURE:
+        raise FlatError(
+            f"the spot moved along a line (its images depart from one by {100 * from_line:.1f} % of their length): "
             "any number of wrong worlds fit such data perfectly",
             advice="Wave through the whole volume: near and far, high and low.",
         )
-    if extent[2] < PLANE_EXTENT * extent[0] and any(s.knowledge is Knowledge.UNKNOWN for s in setups):
-        raise DegenerateError(
-            f"the spot moved in a plane (third extent {100 * extent[2] / extent[0]:.2f} % of the first): "
-            "focal lengths and positions cannot be told from such data, however small the reprojection error",
+    if from_plane < MIN_PLANE_DEPARTURE and any(setup.knowledge is Knowledge.UNKNOWN for setup in setups):
+        raise FlatError(
+            f"the spot moved in a plane (views depart from a homography by {100 * from_plane:.1f} % of their extent): "
+            "wrong worlds fit such data too, however small the reprojection error",
             advice="Wave through the whole volume: near and far, high and low; or give all cameras' intrinsics.",
         )
+
+
+def _departures_from_plane(cameras: Cameras, views: SpotViews, is_inlier: BoolArray) -> list[tuple[float, float]]:
+    """For each pair: departure of the spots from a line and from a homography, over their extent in the image."""
+    ray_xy, has_ray = cam_from_img(cameras.intrinsics[views.camera], cameras.is_fisheye[views.camera], views.px)
+    by_camera = []
+    for c in range(len(cameras)):
+        rows = np.flatnonzero((views.camera == c) & is_inlier & has_ray)
+        by_camera.append((views.point[rows], ray_xy[rows]))
+    out = []
+    for a in range(len(cameras)):
+        for b in range(a + 1, min(len(cameras), a + 1 + MAX_PARTNERS)):
+            _, at_a, at_b = np.intersect1d(by_camera[a][0], by_camera[b][0], return_indices=True)
+            if len(at_a) < MIN_OBSERVATIONS:
+                continue
+            ray_a, ray_b = by_camera[a][1][at_a], by_camera[b][1][at_b]
+            extent = np.linalg.svd(ray_b - ray_b.mean(axis=0), compute_uv=False)
+            homography, _ = cv2.findHomography(ray_a, ray_b, 0)
+            if homography is None:
+                continue
+            mapped = cv2.perspectiveTransform(ray_a[:, None], homography)[:, 0]
+            departure = np.median(np.linalg.norm(mapped - ray_b, axis=1)) * np.sqrt(len(ray_b)) / extent[0]
+            out.append((float(extent[1] / extent[0]), float(departure)))
+    return out
 
 
 def refuse_unobservable(setups: Sequence[CameraSetup], focal_px: FloatArray, focal_sigma_px: FloatArray) -> None:
@@ -103,31 +142,34 @@ def refuse_unobservable(setups: Sequence[CameraSetup], focal_px: FloatArray, foc
     relative = focal_sigma_px / focal_px
     weak = np.flatnonzero(relative > MAX_RELATIVE_FOCAL_SIGMA)
     if len(weak):
-        listed = ", ".join(f"{setups[c].name} ({focal_px[c]:.0f} ± {focal_sigma_px[c]:.0f} px)" for c in weak)
+        listed = ", ".join(f"{setups[c].name} ({focal_px[c]:.0f} ± {focal_sigma_px[c]:.0f} px)" for c in weak.tolist())
         raise DegenerateError(
             f"the focal length cannot be determined from these data: {listed}",
             advice="Wave nearer to and farther from these cameras, in view of cameras beside them, or give intrinsics.",
         )
 
 
-def refuse_disagreement(graph: PairGraph, inlier_share: FloatArray) -> None:
-    """A network in which too little agrees.
+def refuse_disagreement(names: Sequence[str], inlier_share: FloatArray, noise_px: FloatArray) -> None:
+    """Cameras that the solution does not explain: few inliers, or noise that no detector has.
 
     Args:
-        graph: the overlap graph.
-        inlier_share: (C,) share of each camera's observations that the solution explains.
+        names: C camera names.
+        inlier_share: (C,) share of each camera's observations that are inliers.
+        noise_px: (C,) estimated detection noise.
 
     Raises:
-        DegenerateError: names the cameras that agree least.
+        DegenerateError: names the cameras.
     """
-    poor = np.flatnonzero(inlier_share < MIN_INLIER_SHARE)
+    is_wild = (noise_px > MAX_NOISE_PX) & (noise_px > MAX_NOISE_RATIO * np.median(noise_px))
+    poor = np.flatnonzero((inlier_share < MIN_INLIER_SHARE) | is_wild)
     if len(poor):
-        listed = ", ".join(f"{graph.names[c]} ({100 * inlier_share[c]:.0f} %)" for c in poor)
-        reasons = "".join(f"\n{suspect.reason}" for suspect in graph.disagreeing_cameras())
+        listed = ", ".join(
+            f"{names[c]} ({100 * inlier_share[c]:.0f} % within {noise_px[c]:.1f} px)" for c in poor.tolist()
+        )
         raise DegenerateError(
-            f"less than half of the detections agree with the best solution: {listed}{reasons}",
+            f"the detections of these cameras do not agree with the rest: {listed}",
             advice=(
-                "Look at what these cameras detected: another light, a mirrored image, or frames that were not taken "
-                "at the same instant as the others'."
+                "Look at what they detected: another light, a mirrored image, or frames that were not taken at the "
+                "same instant as the others'."
             ),
         )

@@ -87,9 +87,11 @@ def refine_camera(
         weighted = flat * np.repeat(weight, 2)[:, None]
         hessian, gradient = weighted.T @ flat, weighted.T @ residual.ravel()
         gradient[6] += (log_ratio - log_start) / RATIO_LOG_SIGMA**2
-        hessian[6, 6] += 1e12 if is_ratio_fixed else 1 / RATIO_LOG_SIGMA**2
+        hessian[6, 6] += 1 / RATIO_LOG_SIGMA**2
         hessian += np.diag(1e-9 * hessian.diagonal() + 1e-12)
-        step = -np.linalg.solve(hessian, gradient)
+        n_free = 6 if is_ratio_fixed else 7
+        step = np.zeros(7)
+        step[:n_free] = -np.linalg.solve(hessian[:n_free, :n_free], gradient[:n_free])
         if not np.isfinite(step).all():
             break
         rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation

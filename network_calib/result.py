@@ -98,7 +98,7 @@ class CalibratedCamera:
 
 
 @dataclass(frozen=True, slots=True)
-class Warning:  # noqa: A001 - the field's word; the builtin of that name is not used in this package
+class Doubt:
     """Something doubtful that the user must see: a stable code, what was found with numbers, what to do."""
 
     code: str
@@ -184,7 +184,7 @@ class Calibration:
     cameras: tuple[CalibratedCamera, ...]
     world: WorldFrame
     quality: NetworkQuality
-    warnings: tuple[Warning, ...]
+    warnings: tuple[Doubt, ...]
     provenance: Provenance
 
     def as_cameras(self) -> Cameras:

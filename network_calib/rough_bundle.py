@@ -25,8 +25,8 @@ from network_calib.robust_loss import CauchyLoss
 
 # An honest observation lies within a tolerance, so a quarter of it is a fair standard deviation.
 SIGMAS_PER_TOLERANCE = 4.0
-# Before the data: log(ratio) around the expected one, principal points within 3 % of the longer image side, and what the
-# bend of the pairs leaves of k1.
+# Before the data: log(ratio) around the expected one, principal points within 3 % of the longer image side, and what
+# the bend of the pairs leaves of k1.
 LENS_SIGMA = np.array([0.3, 0.03, 0.03, 0.05])
 LENS = np.array([FOCAL, CENTRE_X, CENTRE_Y, DISTORTION])
 

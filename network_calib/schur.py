@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded, get_lapack_funcs
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -150,10 +149,11 @@ class ReducedFactoriser:
 
     def _find_order(self, matrix: FloatArray) -> None:
         pattern = csr_array(matrix != 0)
-        self._order = reverse_cuthill_mckee(pattern, symmetric_mode=True).astype(np.int64)
-        position = np.empty(len(self._order), dtype=np.int64)
-        position[self._order] = np.arange(len(self._order))
+        order = np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), dtype=np.int64)
+        position = np.empty(len(order), dtype=np.int64)
+        position[order] = np.arange(len(order))
         rows, columns = pattern.nonzero()
+        self._order = order
         self._bandwidth = int(np.abs(position[rows] - position[columns]).max(initial=0))
 
 
@@ -168,9 +168,10 @@ def inverse_spd(matrix: FloatArray) -> FloatArray:
         raise LinAlgError("matrix has a non-positive diagonal")
     # Rows and columns are scaled alike: parameters are in radians, metres and pixels.
     scale = 1.0 / np.sqrt(diagonal)
-    factor, info = dpotrf(matrix * scale[:, None] * scale, lower=1, clean=1)
+    potrf, potri = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
+    factor, info = potrf(matrix * scale[:, None] * scale, lower=1, clean=1)
     if info == 0:
-        inverse, info = dpotri(factor, lower=1)
+        inverse, info = potri(factor, lower=1)
         if info == 0:
             return (np.tril(inverse) + np.tril(inverse, -1).T) * scale[:, None] * scale
     raise LinAlgError("matrix is not positive definite")

@@ -55,7 +55,7 @@ def find_seed(pair: Pair, ray_a: FloatArray, ray_b: FloatArray, tolerance: float
     if essential is None or essential.shape[0] < 3:
         return None
     best: Seed | None = None
-    for b_from_a, shift in _poses(essential[:3]):
+    for b_from_a, shift in _poses(np.asarray(essential[:3], dtype=np.float64)):
         seed = _judge(pair, ray_a, ray_b, tolerance, b_from_a, -b_from_a.T @ shift)
         if seed is not None and (best is None or seed.score > best.score):
             best = seed
@@ -64,7 +64,8 @@ def find_seed(pair: Pair, ray_a: FloatArray, ray_b: FloatArray, tolerance: float
 
 def _poses(essential: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     first, second, shift = cv2.decomposeEssentialMat(essential)
-    return [(turn, sign * shift.ravel()) for turn in (first, second) for sign in (1.0, -1.0)]
+    unit = np.asarray(shift, dtype=np.float64).ravel()
+    return [(np.asarray(turn, dtype=np.float64), sign * unit) for turn in (first, second) for sign in (1.0, -1.0)]
 
 
 def _judge(

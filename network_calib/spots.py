@@ -100,10 +100,15 @@ def locate(cameras: Cameras, views: SpotViews, tolerance_px: FloatArray) -> tupl
     return drop_lonely(views, points, is_inlier)
 
 
+def located(points: FloatArray) -> BoolArray:
+    """(F,) which points (F, 3) have a position."""
+    return np.asarray(np.isfinite(points).all(axis=1))
+
+
 def drop_lonely(views: SpotViews, points: FloatArray, is_inlier: BoolArray) -> tuple[FloatArray, BoolArray]:
     """A spot needs two agreeing views: others lose their position, and their views are no inliers."""
     n_views = np.bincount(views.point[is_inlier], minlength=views.n_points)
-    is_located = (n_views >= 2) & np.isfinite(points).all(axis=1)
+    is_located = (n_views >= 2) & located(points)
     return np.where(is_located[:, None], points, np.nan), is_inlier & is_located[views.point]
 
 
@@ -112,10 +117,10 @@ def spot_leverage(
 ) -> FloatArray:
     """(K, 2, 2) J C J': how uncertain each whitened prediction is through its spot, cameras taken as known.
 
-    C is the covariance of the spot from its inliers, J the whitened derivative of the pixel by the spot. For an inlier it
-    is the share of its own noise that the spot absorbs. Zero where the spot is not located.
+    C is the covariance of the spot from its inliers, J the whitened derivative of the pixel by the spot. For an inlier
+    it is the share of its own noise that the spot absorbs. Zero where the spot is not located.
     """
-    is_located = np.isfinite(points).all(axis=1)
+    is_located = located(points)
     rows = np.flatnonzero(is_located[views.point])
     camera, point = views.camera[rows], views.point[rows]
     columns = np.full((len(cameras), N_PARAMETERS), -1, dtype=np.int64)

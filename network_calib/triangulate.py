@@ -12,6 +12,8 @@ from network_calib.observations import BoolArray, FloatArray, IntArray
 
 N_STEPS = 8
 N_MEDIAN_STEPS = 8
+# Views of one spot that propose a position together: all pairs of up to nine views.
+MAX_LAG = 8
 
 
 def triangulate(
@@ -81,13 +83,12 @@ def triangulate_robust(
     n_points: int,
     *,
     tolerance: FloatArray,
-    max_removed: int = 3,
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Triangulate, and find the views that do not belong: leave one out, again and again.
+    """Triangulate, and find the views that do not belong.
 
-    Where a robust fit has more than two thirds of three views or more within tolerance, those are the spot's.
-    Otherwise a spot of three views or more whose worst residual exceeds its tolerance loses the view without which the
-    others agree best; up to `max_removed` times. A spot that stays in disagreement is invalid, and so are its rows.
+    Where a robust fit has more than two thirds of three views or more within tolerance, those are the spot's. Elsewhere
+    every pair of views proposes a spot, and the one that most views agree with is taken; when two proposals that share
+    no agreeing set tie on two views each, nobody can tell which is right and the spot is invalid.
 
     Args:
         camera: (K,) rows sorted by point.
@@ -97,34 +98,30 @@ def triangulate_robust(
         centres: (C, 3).
         n_points: F.
         tolerance: (K,) largest residual of an honest row, ray units.
-        max_removed: views that one spot may lose.
 
     Returns:
         (F, 3) points, (F,) validity, (K,) rows that agree with their valid spot.
     """
     points, is_valid = triangulate(camera, point, ray_xy, rotations, centres, n_points, scale=tolerance)
-    relative = _relative_residuals(camera, point, ray_xy, rotations, centres, points, tolerance)
-    # The down-weighted fit settles the spots that most views agree on; a search is left for the few others.
+    relative = residuals(camera, point, ray_xy, rotations, centres, points) / tolerance
     n_views = np.bincount(point, minlength=n_points)
     n_agreeing = np.bincount(point[relative <= 1], minlength=n_points)
-    is_settled = (n_agreeing >= 3) & (3 * n_agreeing > 2 * n_views)
-    is_kept = ~is_settled[point] | (relative <= 1)
-    for _ in range(max_removed):
-        worst = _maximum(point, np.where(is_kept, relative, 0.0), n_points)
-        n_views = np.bincount(point[is_kept], minlength=n_points)
-        is_bad = (n_views >= 3) & ~(worst <= 1)
-        rows = np.flatnonzero(is_kept & is_bad[point])
-        if not len(rows):
-            break
-        wrong, rest = _leave_one_out(camera, point, ray_xy, rotations, centres, tolerance, rows)
-        is_kept[wrong] = False
-        points[point[wrong]] = rest
-        is_valid[point[wrong]] = np.isfinite(rest).all(axis=1)
-        relative = _relative_residuals(camera, point, ray_xy, rotations, centres, points, tolerance)
-    worst = _maximum(point, np.where(is_kept, relative, 0.0), n_points)
-    is_valid &= worst <= 1
-    is_inlier = is_valid[point] & (relative <= 1)
-    return np.where(is_valid[:, None], points, np.nan), is_valid, is_inlier
+    is_settled = (n_agreeing == n_views) | ((n_agreeing >= 3) & (3 * n_agreeing > 2 * n_views))
+    is_settled &= is_valid
+    agrees = relative <= 1
+    rows = np.flatnonzero(~is_settled[point])
+    if len(rows):
+        agrees[rows] = _consensus(camera[rows], point[rows], ray_xy[rows], rotations, centres, tolerance[rows])
+        kept = rows[agrees[rows]]
+        open_points, local = np.unique(point[kept], return_inverse=True)
+        is_valid[point[rows]] = False
+        points[open_points], is_valid[open_points] = triangulate(
+            camera[kept], local, ray_xy[kept], rotations, centres, len(open_points)
+        )
+        relative = residuals(camera, point, ray_xy, rotations, centres, points) / tolerance
+        agrees &= relative <= 1
+        is_valid &= np.bincount(point[agrees], minlength=n_points) >= 2
+    return np.where(is_valid[:, None], points, np.nan), is_valid, agrees & is_valid[point]
 
 
 def residuals(
@@ -273,56 +270,57 @@ def _sum(point: IntArray, values: FloatArray, n_points: int) -> FloatArray:
     return out
 
 
-def _maximum(point: IntArray, values: FloatArray, n_points: int) -> FloatArray:
-    """(F,) largest value of each point; 0 where a point has no row."""
-    out = np.zeros(n_points)
-    np.maximum.at(out, point, values)
+def _consensus(
+    camera: IntArray,
+    point: IntArray,
+    ray_xy: FloatArray,
+    rotations: FloatArray,
+    centres: FloatArray,
+    tolerance: FloatArray,
+) -> BoolArray:
+    """(K,) rows that agree with their spot's best proposal; rows sorted by point.
+
+    Every two views of a spot, up to MAX_LAG apart in the list of its views, propose a position.
+    """
+    first, second = _pairs_within(point)
+    n_proposals = len(first)
+    proposals, is_valid = triangulate(
+        np.concatenate([camera[first], camera[second]]),
+        np.tile(np.arange(n_proposals), 2),
+        np.concatenate([ray_xy[first], ray_xy[second]]),
+        rotations,
+        centres,
+        n_proposals,
+    )
+    _, start, count = np.unique(point, return_index=True, return_counts=True)
+    spot = np.repeat(np.arange(len(start)), count)
+    # Every proposal is held against every view of its spot.
+    proposal = np.repeat(np.arange(n_proposals), count[spot[first]])
+    within = np.arange(len(proposal)) - np.searchsorted(proposal, proposal)
+    row = start[spot[first]][proposal] + within
+    relative = residuals(camera[row], proposal, ray_xy[row], rotations, centres, proposals) / tolerance[row]
+    agrees = (relative <= 1) & is_valid[proposal]
+    n_agreeing = np.bincount(proposal, agrees, minlength=n_proposals)
+    score = n_agreeing + np.bincount(proposal, np.where(agrees, 1 - relative**2, 0.0), minlength=n_proposals) / 1e3
+    order = np.lexsort((-score, spot[first]))
+    is_best = np.r_[True, np.diff(spot[first][order]) > 0]
+    best, runner_up = order[is_best], np.r_[order[1:], -1][is_best]
+    is_tied = np.zeros(len(best), dtype=bool)
+    has_rival = (runner_up >= 0) & (spot[first][runner_up] == spot[first][best])
+    is_tied[has_rival] = n_agreeing[runner_up[has_rival]] == 2
+    is_clear = (n_agreeing[best] > 2) | ((n_agreeing[best] == 2) & ~is_tied)
+    is_chosen = np.zeros(n_proposals, dtype=bool)
+    is_chosen[best[is_clear]] = True
+    out = np.zeros(len(point), dtype=bool)
+    out[row[agrees & is_chosen[proposal]]] = True
     return out
 
 
-def _relative_residuals(
-    camera: IntArray,
-    point: IntArray,
-    ray_xy: FloatArray,
-    rotations: FloatArray,
-    centres: FloatArray,
-    points: FloatArray,
-    tolerance: FloatArray,
-) -> FloatArray:
-    return residuals(camera, point, ray_xy, rotations, centres, points) / tolerance
-
-
-def _leave_one_out(
-    camera: IntArray,
-    point: IntArray,
-    ray_xy: FloatArray,
-    rotations: FloatArray,
-    centres: FloatArray,
-    tolerance: FloatArray,
-    rows: IntArray,
-) -> tuple[IntArray, FloatArray]:
-    """For each spot of `rows` (sorted by point), the row without which the others agree best.
-
-    Returns:
-        (G,) one row for each spot, and (G, 3) the spots triangulated without it, NaN where that is invalid.
-    """
-    left_out, member = _others_of_each(point[rows])
-    group, other = left_out, rows[member]
-    points, is_valid = triangulate(camera[other], group, ray_xy[other], rotations, centres, len(rows))
-    relative = residuals(camera[other], group, ray_xy[other], rotations, centres, points) / tolerance[other]
-    truncated = np.bincount(group, weights=np.minimum(relative**2, 1.0), minlength=len(rows))
-    # Ties between truncated costs are broken by the finite part of the plain cost.
-    plain = np.bincount(group, weights=np.minimum(relative, 1e6), minlength=len(rows))
-    order = np.lexsort((plain, np.where(is_valid, truncated, np.inf), point[rows]))
-    best = order[np.r_[True, np.diff(point[rows][order]) > 0]]
-    return rows[best], points[best]
-
-
-def _others_of_each(group: IntArray) -> tuple[IntArray, IntArray]:
-    """All ordered pairs (i, j), i != j, of positions within the same run of the sorted `group`."""
-    _, first, count = np.unique(group, return_index=True, return_counts=True)
-    per_row = np.repeat(count, count)
-    i = np.repeat(np.arange(len(group)), per_row)
-    within = np.arange(len(i)) - np.repeat(np.cumsum(per_row) - per_row, per_row)
-    j = np.repeat(np.repeat(first, count), per_row) + within
-    return i[i != j], j[i != j]
+def _pairs_within(group: IntArray) -> tuple[IntArray, IntArray]:
+    """All pairs (i, j), i < j, at most MAX_LAG apart, of positions within the same run of the sorted `group`."""
+    firsts, seconds = [], []
+    for lag in range(1, min(MAX_LAG, int(np.bincount(group).max(initial=1)) - 1) + 1):
+        first = np.flatnonzero(group[lag:] == group[:-lag])
+        firsts.append(first)
+        seconds.append(first + lag)
+    return np.concatenate(firsts or [group[:0]]), np.concatenate(seconds or [group[:0]])

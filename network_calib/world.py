@@ -1,4 +1,4 @@
-"""Step 7: from the solve's own frame into the world that the user asked for; scale, frame, and the named gauge."""
+"""Step 7: from the solve's own frame into the world that the user asked for: scale and frame."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from network_calib.blocks import Problem, State
 from network_calib.cameras import Cameras
 from network_calib.errors import DegenerateError, InputError
-from network_calib.gauge import Similarity, camera_gauge, fit_similarity, inner_gauge, into_camera, level_to_floor
+from network_calib.gauge import Similarity, fit_similarity, into_camera, level_to_floor
 from network_calib.observations import FloatArray
-from network_calib.refine import Refined, build_problem
+from network_calib.refine import Refined
 from network_calib.result import WorldFrame
-from network_calib.robust_loss import SquaredLoss
-from network_calib.room_setup import Anchor, CameraSetup, KnownCentres, KnownDistance, KnownPoints, Options, UnitScale
+from network_calib.room_setup import Anchor, KnownCentres, KnownDistance, KnownPoints, Options, UnitScale
 from network_calib.spots import SpotViews
 
 
@@ -34,26 +32,6 @@ def in_world(refined: Refined, views: SpotViews, anchor: Anchor, options: Option
     return frame, moved
 
 
-def covariance_problem(
-    refined: Refined, setups: Sequence[CameraSetup], views: SpotViews, anchor: Anchor
-) -> tuple[Problem, State]:
-    """The final problem posed in the world frame with the gauge that the frame names.
-
-    In the first camera's frame that camera has no uncertainty and the anchor's distance none; in other frames the
-    covariance is that of inner constraints, the smallest in the mean.
-    """
-    rows = np.flatnonzero(refined.is_inlier)
-    is_located = np.zeros(views.n_points, dtype=bool)
-    is_located[views.point[rows]] = True
-    problem, state = build_problem(
-        setups, refined.cameras, views, refined.points, rows, is_located, refined.noise, SquaredLoss()
-    )
-    if isinstance(anchor, KnownCentres | KnownPoints):
-        return replace(problem, gauge=inner_gauge), state
-    a, b = _ends(refined.cameras, anchor)
-    return replace(problem, gauge=lambda at: camera_gauge(at, 0, a, b)), state
-
-
 def _anchored(refined: Refined, views: SpotViews, anchor: Anchor) -> tuple[WorldFrame, Similarity]:
     cameras = refined.cameras
     if isinstance(anchor, KnownCentres):
@@ -68,7 +46,7 @@ def _anchored(refined: Refined, views: SpotViews, anchor: Anchor) -> tuple[World
         error = motion.apply(spots) - anchor.points_in_world_m
         words = f"{len(spots)} given points, met within {_rms(error):.4g} m RMS"
         return WorldFrame("given points", "m", words, _relative_rms(error, anchor.points_in_world_m)), motion
-    a, b = _ends(cameras, anchor)
+    a, b = scale_ends(cameras, anchor)
     distance = float(np.linalg.norm(cameras.centres_in_world[b] - cameras.centres_in_world[a]))
     name = cameras.names[0]
     if isinstance(anchor, KnownDistance):
@@ -84,7 +62,7 @@ def _moved(refined: Refined, motion: Similarity) -> Refined:
     return replace(refined, cameras=motion.apply_to_cameras(refined.cameras), points=motion.apply(refined.points))
 
 
-def _ends(cameras: Cameras, anchor: Anchor) -> tuple[int, int]:
+def scale_ends(cameras: Cameras, anchor: Anchor) -> tuple[int, int]:
     """The two cameras whose distance names the scale."""
     if isinstance(anchor, KnownDistance):
         return _camera_index(cameras, anchor.camera_a), _camera_index(cameras, anchor.camera_b)

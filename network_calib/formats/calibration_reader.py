@@ -15,10 +15,10 @@ from network_calib.result import (
     CalibratedCamera,
     Calibration,
     CameraQuality,
+    Doubt,
     ErrorSummary,
     NetworkQuality,
     Provenance,
-    Warning,  # noqa: A004 - the result's own word
     WorldFrame,
 )
 
@@ -72,16 +72,19 @@ def _camera(node: Node, *, world: str) -> CalibratedCamera:
         fields["size_px"].fail(f"at most {MAX_IMAGE_SIDE_PX} px")
     lens = LensModel(fields["lens"].text(*(model.value for model in LensModel)))
     covariance = _covariance(fields["covariance"])
-    _check_sigma(fields["sigma"], covariance)
     pose = _pose(fields["cam_from_world"], camera=name, world=world)
-    _check_centre(fields["centre_in_world"], pose)
+    # Derived figures are compared only with a sound original: one mistake is one fault.
+    if covariance is not None:
+        _check_sigma(fields["sigma"], covariance)
+    if pose is not None:
+        _check_centre(fields["centre_in_world"], pose)
     return CalibratedCamera(
         name=name,
         size_px=(width, height),
         lens=lens,
         intrinsics=_intrinsics(fields["intrinsics"], lens),
-        cam_from_world=pose,
-        covariance=covariance,
+        cam_from_world=RigidTransform.identity() if pose is None else pose,
+        covariance=np.zeros((len(PARAMETER_NAMES),) * 2) if covariance is None else covariance,
         is_intrinsics_fixed=fields["is_intrinsics_fixed"].flag(),
         quality=_camera_quality(fields["quality"]),
     )
@@ -100,17 +103,19 @@ def _intrinsics(node: Node, lens: LensModel) -> FloatArray:
     return np.array([*focal, *centre, *distortion])
 
 
-def _pose(node: Node, *, camera: str, world: str) -> RigidTransform:
+def _pose(node: Node, *, camera: str, world: str) -> RigidTransform | None:
+    n_faults = len(node.faults)
     fields = node.fields("target", "source", "rotation_quat_xyzw", "translation")
     for name, expected in (("target", camera), ("source", f"world {world}")):
         if fields[name].text() != expected:
             fields[name].fail(json_word(expected))
-    quaternion = fields["rotation_quat_xyzw"].numbers(4)
+    quaternion, translation = fields["rotation_quat_xyzw"].numbers(4), fields["translation"].numbers(3)
+    if len(node.faults) > n_faults:
+        return None
     if abs(math.hypot(*quaternion) - 1) > DIGITS:
-        if all(item.value is not None for item in fields["rotation_quat_xyzw"].items(4)):
-            fields["rotation_quat_xyzw"].fail("a unit quaternion")
-        quaternion = [0.0, 0.0, 0.0, 1.0]
-    return RigidTransform.from_components(fields["translation"].numbers(3), Rotation.from_quat(quaternion))
+        fields["rotation_quat_xyzw"].fail("a unit quaternion")
+        return None
+    return RigidTransform.from_components(translation, Rotation.from_quat(quaternion))
 
 
 def _check_centre(node: Node, pose: RigidTransform) -> None:
@@ -120,23 +125,26 @@ def _check_centre(node: Node, pose: RigidTransform) -> None:
         node.fail(f"{expected.tolist()}, which the pose says")
 
 
-def _covariance(node: Node) -> FloatArray:
-    n = len(PARAMETER_NAMES)
+def _covariance(node: Node) -> FloatArray | None:
+    n_faults, n = len(node.faults), len(PARAMETER_NAMES)
     fields = node.fields("covariance_parameters", "lower_triangle")
     if fields["covariance_parameters"].value != list(PARAMETER_NAMES):
         fields["covariance_parameters"].fail(", ".join(PARAMETER_NAMES))
     covariance = np.zeros((n, n))
     for k, row in enumerate(fields["lower_triangle"].items(n)):
         covariance[k, : k + 1] = covariance[: k + 1, k] = row.numbers(k + 1)
+    if len(node.faults) > n_faults:
+        return None
     variance = np.diag(covariance)
     if (variance < 0).any():
         fields["lower_triangle"].fail(f"variances >= 0, found {variance.min():g}")
-        return np.zeros((n, n))
+        return None
     # As correlations, so that pixels and radians weigh the same; rounding leaves eigenvalues a little below zero.
     scale = np.sqrt(np.where(variance > 0, variance, 1.0))
     smallest = float(np.linalg.eigvalsh(covariance / scale[:, None] / scale).min())
     if smallest < -1e-6:
         fields["lower_triangle"].fail(f"a positive semidefinite matrix, its least eigenvalue is {smallest:.3g}")
+        return None
     return covariance
 
 
@@ -189,9 +197,9 @@ def _network_quality(node: Node) -> NetworkQuality:
     )
 
 
-def _warning(node: Node) -> Warning:
+def _warning(node: Node) -> Doubt:
     fields = node.fields("code", "message", "advice")
-    return Warning(fields["code"].text(), fields["message"].text(), fields["advice"].text())
+    return Doubt(fields["code"].text(), fields["message"].text(), fields["advice"].text())
 
 
 def _provenance(node: Node) -> Provenance:

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from network_calib.errors import InputError
+from network_calib.formats.matrix_text import read_matrix, write_matrix
 from network_calib.formats.rad import read_rad_intrinsics
 from network_calib.formats.recording import Recording, digest, natural_key, read_text
 from network_calib.formats.svoboda_cfg import NO_CFG, SvobodaCfg, read_cfg
@@ -66,33 +67,6 @@ def read_svoboda(folder: Path) -> Recording:
     )
 
 
-def read_matrix(path: Path) -> FloatArray:
-    """A text file of numbers, every row as long as the first; blank lines and lines after # or % do not count.
-
-    Raises:
-        InputError: names file, line, and the value or the count that does not fit.
-    """
-    lines = [(k, line) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    lines = [(k, line) for k, line in lines if line.lstrip()[0] not in "#%"]
-    if not lines:
-        raise InputError(f"{path} holds no numbers")
-    rows = []
-    for number, line in lines:
-        tokens = line.split()
-        if rows and len(tokens) != len(rows[0]):
-            raise InputError(
-                f"{path}, line {number}: {len(tokens)} numbers, expected {len(rows[0])} as in line {lines[0][0]}"
-            )
-        try:
-            rows.append(np.array(list(map(_number if "_" in line else float, tokens))))
-        except ValueError:
-            column = next(k for k, token in enumerate(tokens) if not _is_number(token))
-            raise InputError(
-                f"{path}, line {number}, column {column + 1}: {tokens[column][:40]!r} is not a number"
-            ) from None
-    return np.stack(rows)
-
-
 def write_svoboda_recording(observations: Observations, *, size_px: IntArray, folder: Path) -> None:
     """Write a recording folder that `read_svoboda` reads back exactly; frame f becomes column f.
 
@@ -113,29 +87,10 @@ def write_svoboda_recording(observations: Observations, *, size_px: IntArray, fo
     points[observations.camera, 2, observations.frame] = 1.0
     is_seen = np.isfinite(points[:, 2])
     folder.mkdir(parents=True, exist_ok=True)
-    _write_matrix(folder / "points.dat", points.reshape(3 * n_cameras, n_frames))
-    _write_matrix(folder / "IdMat.dat", is_seen.astype(np.int64))
-    _write_matrix(folder / "Res.dat", np.asarray(size_px))
+    write_matrix(folder / "points.dat", points.reshape(3 * n_cameras, n_frames))
+    write_matrix(folder / "IdMat.dat", is_seen.astype(np.int64))
+    write_matrix(folder / "Res.dat", np.asarray(size_px))
     (folder / "camera_order.txt").write_text("\n".join(observations.camera_names) + "\n", encoding="utf-8")
-
-
-def _write_matrix(path: Path, matrix: FloatArray | IntArray) -> None:
-    # repr of a float is the shortest text that reads back to the same number.
-    path.write_text("".join(" ".join(map(repr, row)) + "\n" for row in matrix.tolist()), encoding="utf-8")
-
-
-def _number(token: str) -> float:
-    if "_" in token:  # Python reads 1_000 as a thousand; in a data file it is a fault
-        raise ValueError(token)
-    return float(token)
-
-
-def _is_number(token: str) -> bool:
-    try:
-        _number(token)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_is_seen(path: Path, *, shape: tuple[int, int]) -> BoolArray:

@@ -1,0 +1,12 @@
+"""What is measured and reported: speed and accuracy, each against a peer, a bound or a published figure, in one run.
+
+`python -m benchmarks [NAME ...] [--quick] [--out FOLDER]` runs the benchmarks below (all of them by default) and ends
+with one table. Nothing here fails on a slow machine: times are reported, and judged only as ratios.
+
+    recordings          the real recordings: left-out error, published figures, plausibility, wall time
+    against_colmap_sfm  COLMAP's structure from motion fed with the spots
+    engine              the joint engine against pycolmap's bundle adjustment, same problem, same optimum
+    statistics          a synthetic room, many seeds: errors over the Cramer-Rao bound, coverage, inlier mask
+    growth              5 to 200 cameras, 1,000 to 50,000 spots: time and memory exponents
+    startup             `spotcal --help`
+"""

@@ -1,0 +1,203 @@
+"""The command line. Commands are wiring only, and import what they need when they run: `--help` answers at once."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from network_calib.errors import SpotcalError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from network_calib.formats.recording import Recording
+    from network_calib.result import Calibration
+    from nodes.config import Resolved
+
+EXIT_ERROR, EXIT_UNEXPECTED_RESULT, EXIT_INTERRUPTED = 2, 1, 130
+
+app = typer.Typer(
+    name="spotcal",
+    help="Calibrate networks of cameras from one waved bright spot.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+Source = Annotated[Path, typer.Argument(help="MultiCamSelfCal folder, or a .csv or .npz table of spots.")]
+CalibrationFile = Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.json.")]
+ConfigFile = Annotated[Path | None, typer.Option("--config", help="room.toml: cameras, anchor, options.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers; the same seed, the same result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+
+
+def main() -> None:
+    """Run the command line; errors that the user can act on become one message and exit status 2."""
+    try:
+        app()
+    except SpotcalError as error:
+        _print_error(error.message, error.advice)
+        sys.exit(EXIT_ERROR)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        _print_error(f"{place}{error.strerror or error}", "")
+        sys.exit(EXIT_ERROR)
+    except KeyboardInterrupt:
+        _print_error("interrupted; nothing was written", "")
+        sys.exit(EXIT_INTERRUPTED)
+
+
+@app.command()
+def calibrate(
+    source: Source,
+    config: ConfigFile = None,
+    out: Annotated[Path, typer.Option("--out", help="Result file.")] = Path("calibration.json"),
+    seed: Seed = 0,
+    start: Annotated[
+        str | None, typer.Option("--start", metavar="auto|factorisation|anchor", help="How the solve begins.")
+    ] = None,
+    fix_intrinsics: Annotated[
+        bool, typer.Option("--fix-intrinsics", help="Hold the given intrinsics fixed; otherwise they are a prior.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate cameras from spot observations."""
+    from network_calib.formats.calibration_json import save
+    from nodes.config import load_room, resolve
+    from nodes.solve import check_writable, solve
+
+    check_writable(out)
+    room = None if config is None else load_room(config)
+    recording = _read(source, tolerance_ns=None if room is None else room.tolerance_ns)
+    resolved = resolve(recording, room, fix_intrinsics=fix_intrinsics, start=start)
+    console = _stderr(quiet=quiet)
+    _print_notes(console, resolved)
+    calibration = solve(resolved, seed=seed, input_name=recording.name, input_sha256=recording.sha256, console=console)
+    save(calibration, out)
+    if not quiet:
+        _print_calibration(calibration)
+        console.print(f"Written to {out}", markup=False, soft_wrap=True)
+
+
+@app.command()
+def show(calibration: CalibrationFile) -> None:
+    """Print a calibration as tables."""
+    from network_calib.formats.calibration_json import load
+
+    _print_calibration(load(calibration))
+
+
+@app.command()
+def evaluate(calibration: CalibrationFile, source: Source, config: ConfigFile = None) -> None:
+    """Reproject new data with a calibration; nothing is refitted."""
+    from rich.console import Console
+
+    from network_calib.evaluate import evaluate as evaluate_spots
+    from network_calib.formats.calibration_json import load
+    from nodes.config import load_room
+    from nodes.matching import observations_of
+    from nodes.show import evaluation_view
+
+    loaded = load(calibration)
+    room = None if config is None else load_room(config)
+    recording = _read(source, tolerance_ns=None if room is None else room.tolerance_ns)
+    observations, notes = observations_of(loaded, recording)
+    for note in (*recording.notes, *notes):
+        _stderr().print(f"note: {note}", markup=False, soft_wrap=True)
+    evaluation = evaluate_spots(loaded, observations)
+    Console().print(evaluation_view(evaluation, names=[camera.name for camera in loaded.cameras]))
+
+
+@app.command()
+def export(
+    calibration: CalibrationFile,
+    format_name: Annotated[str, typer.Option("--format", metavar="svoboda|aniposelib|opencv", help="Layout.")],
+    out: Annotated[Path, typer.Option("--out", help="File (svoboda: folder) to write.")],
+) -> None:
+    """Write a calibration for other tools."""
+    from network_calib.errors import InputError
+    from network_calib.formats.aniposelib import write_aniposelib
+    from network_calib.formats.calibration_json import load
+    from network_calib.formats.opencv import write_opencv
+    from network_calib.formats.svoboda_export import write_svoboda
+
+    writers = {"svoboda": write_svoboda, "aniposelib": write_aniposelib, "opencv": write_opencv}
+    if format_name not in writers:
+        raise InputError(f"--format {format_name}: expected one of {', '.join(writers)}")
+    writers[format_name](load(calibration), out)
+    _stderr().print(f"Written to {out}", markup=False, soft_wrap=True)
+
+
+@app.command()
+def simulate(
+    name: Annotated[str, typer.Argument(help="Name of a synthetic room; an unknown name lists them all.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder to write; the name of the room by default.")] = None,
+    seed: Seed = 0,
+    frames: Annotated[int | None, typer.Option("--frames", min=2, help="Length of the recording.")] = None,
+    noise_px: Annotated[float, typer.Option("--noise-px", min=0, help="Standard deviation per axis.")] = 0.2,
+    missing: Annotated[float, typer.Option("--missing", min=0, max=1, help="Share of detections dropped.")] = 0.3,
+    false: Annotated[float, typer.Option("--false", min=0, max=1, help="Share of false detections.")] = 0.1,
+) -> None:
+    """Write a synthetic recording with its truth: points, table.npz, room.toml, truth.json."""
+    import numpy as np
+
+    from network_calib.synthetic import observe, room
+    from nodes.simulation import write_simulation
+
+    rng = np.random.default_rng(seed)
+    built = room(name, rng=rng, n_frames=frames)
+    sighting = observe(built, rng=rng, sigma_px=noise_px, missing=missing, false_detections=false)
+    folder = Path(name) if out is None else out
+    write_simulation(built, sighting, folder, noise_px=noise_px, seed=seed)
+    _stderr().print(f"Written to {folder}: {len(sighting.observations)} detections", markup=False, soft_wrap=True)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the result and the pictures.")] = Path("demo-out"),
+    seed: Seed = 0,
+) -> None:
+    """Simulate a room, calibrate it, compare with the truth, draw pictures."""
+    from rich.console import Console
+
+    from nodes.demo import run_demo
+
+    if not run_demo(out, seed=seed, console=Console(), progress_console=_stderr()):
+        sys.exit(EXIT_UNEXPECTED_RESULT)
+
+
+def _read(source: Path, *, tolerance_ns: int | None) -> Recording:
+    from network_calib.formats.source import read_source
+
+    return read_source(source, tolerance_ns=tolerance_ns)
+
+
+def _print_notes(console: Console, resolved: Resolved) -> None:
+    for note in resolved.notes:
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
+
+
+def _print_calibration(calibration: Calibration) -> None:
+    from rich.console import Console
+
+    from nodes.show import calibration_view
+
+    Console().print(calibration_view(calibration))
+
+
+def _stderr(*, quiet: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=True, quiet=quiet, highlight=False)
+
+
+def _print_error(message: str, advice: str) -> None:
+    from rich.text import Text
+
+    text = Text.assemble(("error: ", "bold red"), message)
+    if advice:
+        text.append(f"\n{advice}", style="bold")
+    _stderr().print(text, soft_wrap=True)
