@@ -14,7 +14,7 @@ from network_calib import doubts, quality
 from network_calib.cameras import Cameras
 from network_calib.errors import ConvergenceError, DegenerateError
 from network_calib.observations import Observations
-from network_calib.optimum import Network, Progress, explained, optimise
+from network_calib.optimum import Network, Progress, better_of_twins, explained, optimise
 from network_calib.quality import Holdout
 from network_calib.refine import Refined, refine
 from network_calib.refusals import refuse_bad_input, refuse_unobservable
@@ -70,8 +70,10 @@ def calibrate(
         report("looking for the reason", 0.5)
         raise explained(error, setups, observations, anchor=anchor, options=options, seed=seed) from error
 
+    report("mirrored twin", 0.5)
+    refined, twin_ratio = better_of_twins(setups, network.refined, views, options)
     report("world frame and covariance", 0.55)
-    world, refined = in_world(network.refined, views, anchor, options)
+    world, refined = in_world(refined, views, anchor, options)
     spread = uncertainty(refined, setups, views, anchor)
     refuse_unobservable(setups, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px)
 
@@ -81,7 +83,7 @@ def calibrate(
     repeat_spread = _repeat_spread(setups, views, anchor, options, seed, refined)
     report("checks", 0.95)
     qualities = quality.camera_qualities(setups, refined, views, held)
-    warnings = _doubts(setups, views, options, network, refined, spread, qualities, held)
+    warnings = _doubts(setups, views, options, network, twin_ratio, refined, spread, qualities, held)
     report("done", 1.0)
     return Calibration(
         cameras=_calibrated_cameras(setups, refined, spread, qualities),
@@ -141,6 +143,7 @@ def _doubts(
     views: SpotViews,
     options: Options,
     network: Network,
+    twin_ratio: float,
     refined: Refined,
     spread: Uncertainty,
     qualities: Sequence[CameraQuality],
@@ -150,7 +153,7 @@ def _doubts(
     offsets = estimate_time_offsets(refined.problem, refined.state, views, np.flatnonzero(refined.is_inlier))
     fitted, holdout = quality.overall_error(refined, views), quality.overall_holdout(held)
     return (
-        *doubts.about_convergence(refined.has_converged, network.twin_cost_ratio),
+        *doubts.about_convergence(refined.has_converged, twin_ratio),
         *doubts.about_cameras(setups, qualities, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px),
         *doubts.about_geometry(network.graph, refined.cameras),
         *doubts.about_holdout(fitted, holdout, held.agreeing_share),

@@ -28,8 +28,8 @@ class GroupRows:
         rows: within the chunk's rows of the block.
         used: Jacobian columns that are free.
         targets: the chunk's columns that they belong to.
-        row_of_point: (P,) for each point of the chunk its row within `rows`, or their number where the group did not
-            see it; None when the group saw every point, in order.
+        row_of_point: (P,) for each point of the chunk its row within the chunk's rows of the block, or their number
+            where the group did not see it; None when the group saw every point, in order.
     """
 
     rows: slice
@@ -111,7 +111,7 @@ def _cut_by_group(block: PointBlock, rows: slice, chunk: Chunk) -> BlockRows:
         targets = np.searchsorted(chunk.columns, columns[used])
         row_of_point = None
         if stop - start < chunk.n_points:
-            row_of_point = np.full(chunk.n_points, stop - start)
-            row_of_point[local_point[start:stop]] = np.arange(stop - start)
+            row_of_point = np.full(chunk.n_points, len(group))
+            row_of_point[local_point[start:stop]] = np.arange(start, stop)
         groups.append(GroupRows(slice(start, stop), used, targets, row_of_point))
     return BlockRows(rows, local_point, tuple(groups))

@@ -9,7 +9,7 @@ import numpy as np
 
 from network_calib.blocks import PointBlock, Problem, State
 from network_calib.chunks import BlockRows, Chunk, cut
-from network_calib.observations import FloatArray, IntArray
+from network_calib.observations import FloatArray
 from network_calib.robust_loss import Loss
 from network_calib.schur import EliminatedChunk, EliminatedSystem, ReducedFactoriser, factor_3x3, solve_lower
 
@@ -106,7 +106,7 @@ class Assembler:
             damped = linear.normal.copy()
             damped[[0, 2, 5]] *= 1 + damping
             factor = factor_3x3(damped)
-            coupling = solve_lower(factor, _coupling(chunk, linear)).reshape(len(chunk.columns), -1)
+            coupling = solve_lower(factor, _coupling(chunk, linear)).reshape(len(chunk.columns), 3 * chunk.n_points)
             reduced[np.ix_(chunk.columns, chunk.columns)] -= coupling @ coupling.T
             eliminated.append(EliminatedChunk(chunk.points, chunk.columns, coupling, factor))
         return reduced, eliminated
@@ -179,21 +179,17 @@ def _coupling(chunk: Chunk, linear: _LinearChunk) -> FloatArray:
     """(n, 3, P) products J_shared' J_point, dense over the chunk's columns and points."""
     coupling = np.zeros((len(chunk.columns), 3, chunk.n_points))
     for part, rows in zip(chunk.blocks, linear.rows, strict=True):
+        # One column of zeros behind the rows stands for the points that a group did not see.
+        padded_shared = np.pad(rows.by_shared, ((0, 0), (0, 0), (0, 1)))
+        padded_point = np.pad(rows.by_point, ((0, 0), (0, 0), (0, 1)))
         for group in part.groups:
-            by_shared = _over_points(rows.by_shared[group.used][:, :, group.rows], group.row_of_point)
-            by_point = _over_points(rows.by_point[:, :, group.rows], group.row_of_point)
+            at = group.rows if group.row_of_point is None else group.row_of_point
+            by_shared, by_point = padded_shared[group.used][:, :, at], padded_point[:, :, at]
             product = by_shared[:, None, 0, :] * by_point[None, :, 0, :]
             for m in range(1, by_shared.shape[1]):
                 product += by_shared[:, None, m, :] * by_point[None, :, m, :]
             coupling[group.targets] += product
     return coupling
-
-
-def _over_points(jacobian: FloatArray, row_of_point: IntArray | None) -> FloatArray:
-    """A group's Jacobian (D, m, n) spread over the chunk's points (D, m, P); zero where the group saw none."""
-    if row_of_point is None:
-        return jacobian
-    return np.take(np.pad(jacobian, ((0, 0), (0, 0), (0, 1))), row_of_point, axis=2)
 
 
 def _reweighted(loss: Loss, residual: FloatArray, by_shared: FloatArray, by_point: FloatArray) -> _Rows:

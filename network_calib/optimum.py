@@ -38,13 +38,11 @@ class Network:
         graph: the verified pairs.
         start: the start that worked.
         refined: the optimum, in the solve's own frame and scale.
-        twin_cost_ratio: cost of the mirrored twin's optimum over this one's, see `twin.py`.
     """
 
     graph: PairGraph
     start: Start
     refined: Refined
-    twin_cost_ratio: float
 
 
 def optimise(
@@ -80,10 +78,19 @@ def optimise(
         except (DegenerateError, ConvergenceError) as error:
             failures.append(error)
             continue
-        refined, ratio = _better_of_twins(setups, refined, views, options)
-        return Network(graph, start, refined, ratio)
+        return Network(graph, start, refined)
     # Flatness is the cause of whatever else went wrong.
     raise next((failure for failure in failures if isinstance(failure, FlatError)), failures[0])
+
+
+def better_of_twins(
+    setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, options: Options
+) -> tuple[Refined, float]:
+    """The solution or its mirrored twin, whichever fits, and the other's cost over its own."""
+    ratio, twin_cameras = twin_cost_ratio(setups, refined, views)
+    if ratio >= 1:
+        return refined, ratio
+    return refine(setups, twin_cameras, views, rejection=options.rejection), 1 / ratio
 
 
 def explained(
@@ -181,16 +188,6 @@ def _start(method: str, problem: StartProblem, graph: PairGraph, anchor: Anchor,
     if isinstance(anchor, KnownDistance) and anchor.is_stereo_pair:
         pair = (problem.names.index(anchor.camera_a), problem.names.index(anchor.camera_b))
     return anchor_start(problem, graph, rng=rng, seed_pair=pair)
-
-
-def _better_of_twins(
-    setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, options: Options
-) -> tuple[Refined, float]:
-    """The solution or its mirrored twin, whichever fits, and the other's cost over its own."""
-    ratio, twin_cameras = twin_cost_ratio(setups, refined, views)
-    if ratio >= 1:
-        return refined, ratio
-    return refine(setups, twin_cameras, views, rejection=options.rejection), 1 / ratio
 
 
 def _inlier_share(refined: Refined, views: SpotViews) -> FloatArray:

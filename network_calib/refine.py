@@ -34,6 +34,10 @@ from network_calib.spots import (
 
 ROBUST_ROUNDS, EXACT_ROUNDS = 4, 10
 SETTLED_SHARE = 0.001
+# Rounds that are judged anew need no exact optimum; after the first, each starts close to its own.
+ROUGH = SolverOptions(cost_tolerance=1e-3, initial_damping=1e-5)
+MEDIUM = SolverOptions(cost_tolerance=1e-4, initial_damping=1e-6)
+EXACT = SolverOptions(cost_tolerance=1e-9, initial_damping=1e-7)
 # A Cauchy loss of 2.4 sigma keeps 95 % efficiency for Gaussian noise (Holland, Welsch 1977).
 ROBUST_SCALE = 2.4
 # Median of the norm of a 2D unit Gaussian.
@@ -89,7 +93,7 @@ def refine(
     points, is_inlier = locate(cameras, views, limit_px)
     noise = _robust_noise(cameras, views, points, is_inlier)
     for _ in range(ROBUST_ROUNDS):
-        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, CauchyLoss(ROBUST_SCALE), 1e-4)
+        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, CauchyLoss(ROBUST_SCALE), ROUGH)
         limit_px = np.minimum(limit_px, np.maximum(2 * rejection * noise[views.camera] * views.sigma_px, 0.5))
         points, is_inlier = locate(cameras, views, limit_px)
         previous, noise = noise, _robust_noise(cameras, views, points, is_inlier)
@@ -104,7 +108,7 @@ def _exact_rounds(
     """Plain least squares over the inliers, re-judged until the mask and the noise stand still; then to the optimum."""
     points, is_inlier = locate(cameras, views, rejection * noise[views.camera] * views.sigma_px)
     for _ in range(EXACT_ROUNDS):
-        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-4)
+        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), MEDIUM)
         previous_noise, noise = noise, estimate_noise(cameras, views, points, is_inlier, noise)
         previous_inlier = is_inlier
         sigma_px = noise[views.camera] * views.sigma_px
@@ -112,7 +116,7 @@ def _exact_rounds(
         n_changed = int((previous_inlier != is_inlier).sum())
         if n_changed <= SETTLED_SHARE * len(is_inlier) and np.abs(np.log(noise / previous_noise)).max() < 0.02:
             break
-    cameras, points, problem, solution = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-9)
+    cameras, points, problem, solution = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), EXACT)
     noise_now = estimate_noise(cameras, views, points, is_inlier, noise)
     return Refined(cameras, points, is_inlier, noise_now, problem, solution.state, solution.has_converged)
 
@@ -151,7 +155,7 @@ def fit(
     noise: FloatArray,
 ) -> Cameras:
     """One plain least-squares fit of given inliers from given cameras and points: for hold-out tests."""
-    return _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), 1e-8)[0]
+    return _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), EXACT)[0]
 
 
 def _solve(
@@ -162,7 +166,7 @@ def _solve(
     is_inlier: BoolArray,
     noise: FloatArray,
     loss: Loss,
-    tolerance: float,
+    effort: SolverOptions,
 ) -> tuple[Cameras, FloatArray, Problem, Solution]:
     is_located = np.zeros(views.n_points, dtype=bool)
     is_located[views.point[is_inlier]] = True
@@ -171,7 +175,7 @@ def _solve(
     if len(rows) < 3 * len(cameras):
         raise ConvergenceError(f"only {len(rows)} observations agree with the start: no calibration rests on so few")
     problem, state = build_problem(setups, cameras, views, points, rows, is_located, noise, loss)
-    solution = solve(problem, state, SolverOptions(cost_tolerance=tolerance))
+    solution = solve(problem, state, effort)
     moved = np.full_like(points, np.nan)
     moved[is_located] = solution.state.points.T
     return cameras_of(solution.state.parts).apply_to(cameras), moved, problem, solution
