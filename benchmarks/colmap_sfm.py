@@ -50,7 +50,7 @@ def structure_from_motion(observations: Observations, size_px: Sequence[tuple[in
         return SfmModel(0, None)
     best = max(models.values(), key=lambda model: model.num_reg_images())
     n = best.num_reg_images()
-    return SfmModel(n, _cameras(best, observations, size_px) if n == len(size_px) else None)
+    return SfmModel(n, cameras_of(best, observations.camera_names, size_px) if n == len(size_px) else None)
 
 
 def _write_database(path: Path, observations: Observations, size_px: Sequence[tuple[int, int]]) -> None:
@@ -91,8 +91,8 @@ def _write_image(database: Any, identity: int, size: tuple[int, int]) -> None:
     database.write_frame(frame, use_frame_id=True)
 
 
-def _cameras(model: Any, observations: Observations, size_px: Sequence[tuple[int, int]]) -> Cameras:
-    """COLMAP's numbers in this project's order. The spots went in unshifted, and so come out."""
+def cameras_of(model: Any, names: tuple[str, ...], size_px: Sequence[tuple[int, int]] | IntArray) -> Cameras:
+    """RADIAL cameras 1, 2, ... of a reconstruction. Spots went in unshifted, and so do principal points come out."""
     identities = range(1, len(size_px) + 1)
     parameters = np.array([model.cameras[k].params for k in identities])
     intrinsics = np.zeros((len(size_px), 8))
@@ -101,13 +101,9 @@ def _cameras(model: Any, observations: Observations, size_px: Sequence[tuple[int
     poses = np.tile(np.eye(4), (len(size_px), 1, 1))
     poses[:, :3] = [model.images[k].cam_from_world().matrix() for k in identities]
     return Cameras(
-        names=observations.camera_names,
-        size_px=_sizes(size_px),
+        names=names,
+        size_px=np.array(size_px, dtype=np.int64),
         lenses=(LensModel.K1_K2,) * len(size_px),
         intrinsics=intrinsics,
         cam_from_world=RigidTransform.from_matrix(poses),
     )
-
-
-def _sizes(size_px: Sequence[tuple[int, int]]) -> IntArray:
-    return np.array(size_px, dtype=np.int64)

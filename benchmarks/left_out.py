@@ -64,7 +64,7 @@ def _pairs_in_frames(frame: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _linear_points(cameras: Cameras, camera: IntArray, px: FloatArray, target: IntArray, n: int) -> FloatArray:
-    """(n, 3) points that the rays of each target's helpers meet best: smallest eigenvector of the 4 x 4 normal matrix."""
+    """(n, 3) where the rays of each target's helpers meet: smallest eigenvector of the 4 x 4 normal matrix."""
     ray_xy, _ = cam_from_img(cameras.intrinsics[camera], cameras.is_fisheye[camera], px)
     pose = cameras.cam_from_world.as_matrix()[camera]
     equations = ray_xy[:, :, None] * pose[:, 2:3, :] - pose[:, :2, :]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import resource
 import subprocess
 import sys
 import time
@@ -48,22 +49,32 @@ def interleaved(runs: Sequence[Callable[[], T]], *, repeats: int) -> list[Timed[
     Each run returns what it made; a first round that is not counted fills caches and imports what is imported late.
     """
     rounds = [[timed(run) for run in runs] for _ in range(repeats + 1)][1:]
-    return [
-        Timed(tuple(one[k].seconds for one in rounds), rounds[-1][k].value) for k in range(len(runs))
-    ]
+    return [Timed(tuple(one[k].seconds for one in rounds), rounds[-1][k].value) for k in range(len(runs))]
 
 
-def command_seconds(arguments: Sequence[str], *, repeats: int) -> float:
-    """Median wall time of `spotcal` with arguments, from the start of the process to its end.
+@dataclass(frozen=True, slots=True)
+class CommandTime:
+    """Medians over runs of a command: from its start to its end, and what it took of the processors."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def command_time(arguments: Sequence[str], *, repeats: int) -> CommandTime:
+    """Time `spotcal` with arguments, the start of the process included.
 
     Raises:
         CalledProcessError: the command failed.
     """
 
-    def run() -> None:
+    def run() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run([*SPOTCAL, *arguments], cwd=ROOT, check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
-    return timed(run, repeats=repeats).seconds
+    runs = [timed(run) for _ in range(repeats)]
+    return CommandTime(float(np.median([one.seconds for one in runs])), float(np.median([one.value for one in runs])))
 
 
 class MemoryPeak:
@@ -90,8 +101,13 @@ class MemoryPeak:
 
 def in_child(function: Callable[..., T], *arguments: object) -> T:
     """Call a module-level function in a fresh process, whose memory is its own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
+    pool = multiprocessing.get_context("spawn").Pool(1)
+    try:
         return pool.apply(function, arguments)
+    finally:
+        # To the end of the process by itself: a pool's `with` would kill it, and libraries complain of that.
+        pool.close()
+        pool.join()
 
 
 def _status_mb(field: str) -> float:

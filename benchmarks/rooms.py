@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import ROOT
-from network_calib.calibrate import Network, optimise
-from network_calib.cameras import LensModel
 from network_calib.observations import Observations
+from network_calib.optimum import Network, optimise
 from network_calib.room_setup import Anchor, CameraSetup, KnownDistance, Options, UnitScale
 from network_calib.spots import SpotViews
 from network_calib.synthetic import Room
@@ -26,18 +25,19 @@ def recording_folder(name: str) -> Path | None:
     return folder if (folder / "points.dat").is_file() else None
 
 
-def setups_of(room: Room, *, lens: LensModel | None = None) -> list[CameraSetup]:
+def setups_of(room: Room) -> list[CameraSetup]:
     """Names, image sizes and lens models: what is known of a synthetic room's cameras. Intrinsics are unknown."""
     cameras = room.cameras
     return [
-        CameraSetup(name, (int(size[0]), int(size[1])), lens=lens or own_lens)
-        for name, size, own_lens in zip(cameras.names, cameras.size_px, cameras.lenses, strict=True)
+        CameraSetup(name, (int(size[0]), int(size[1])), lens=lens)
+        for name, size, lens in zip(cameras.names, cameras.size_px, cameras.lenses, strict=True)
     ]
 
 
 def baseline_of(room: Room) -> KnownDistance:
     """The stereo pair as anchor."""
-    return KnownDistance(*room.cameras.names[:2], room.baseline_m, is_stereo_pair=True)
+    first, second = room.cameras.names[:2]
+    return KnownDistance(first, second, room.baseline_m, is_stereo_pair=True)
 
 
 def solve_once(
@@ -45,7 +45,7 @@ def solve_once(
 ) -> Network:
     """The solve alone, without hold-out, repeats and checks: pairs, start, joint rounds."""
     views = SpotViews.of(observations)
-    return optimise(setups, views, anchor or UnitScale(), Options(), seed, lambda _step, _part: None)
+    return optimise(setups, views, anchor=anchor or UnitScale(), options=Options(), seed=seed)
 
 
 def random_generator(*numbers: int) -> np.random.Generator:

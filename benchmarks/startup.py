@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from benchmarks.measure import command_seconds
+from benchmarks.measure import command_time
 from benchmarks.report import Row, Run, at_most
 
 
 def measure(run: Run) -> Iterator[Row]:
     """Wall time of `spotcal --help`."""
-    yield at_most("`spotcal --help`, wall time", command_seconds(["--help"], repeats=run.pick(5, 3)), 1.0, unit=" s")
+    took = command_time(["--help"], repeats=run.pick(5, 3))
+    yield at_most("`spotcal --help`, wall time", took.wall_s, 1.0, unit=" s", note=f"CPU {took.cpu_s:.2f} s")

@@ -114,11 +114,11 @@ def _minimise(assembler: Assembler, start: State, options: SolverOptions) -> Sol
         while True:
             step = _step(assembler, state, model, damping)
             if step is not None:
-                moved = state.retract(*step)
+                moved = state.retract(step.shared, step.points)
                 moved_cost = assembler.cost(moved)
                 if moved_cost <= cost:
                     break
-                if _predicted_decrease(model, step, damping) < options.cost_tolerance * cost:
+                if step.predicted_decrease < options.cost_tolerance * cost:
                     return Solution(state, cost, iteration, has_converged=True)
             damping *= 8
             if damping > 1e10:
@@ -130,16 +130,24 @@ def _minimise(assembler: Assembler, start: State, options: SolverOptions) -> Sol
     return Solution(state, cost, options.max_iterations, has_converged=False)
 
 
-def _step(
-    assembler: Assembler, state: State, model: Linearisation, damping: float
-) -> tuple[FloatArray, FloatArray] | None:
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step (n,), (3, F), and what the linear model promises for it before the acceleration bends it."""
+
+    shared: FloatArray
+    points: FloatArray
+    predicted_decrease: float
+
+
+def _step(assembler: Assembler, state: State, model: Linearisation, damping: float) -> _Step | None:
     """Damped Gauss-Newton step with geodesic acceleration; None when the damping is too small for either."""
     try:
         system, _ = assembler.eliminate(model, damping)
     except LinAlgError:
         return None
     step = system.solve(model.shared_gradient, model.point_gradient)
-    return _accelerated(assembler, state, model, system, step)
+    accelerated = _accelerated(assembler, state, model, system, step)
+    return None if accelerated is None else _Step(*accelerated, _predicted_decrease(model, step, damping))
 
 
 def _accelerated(

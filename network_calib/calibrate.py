@@ -11,13 +11,12 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from network_calib import doubts, quality
-from network_calib.cameras import Cameras
 from network_calib.errors import ConvergenceError, DegenerateError
 from network_calib.observations import Observations
 from network_calib.optimum import Network, Progress, better_of_twins, explained, optimise
 from network_calib.quality import Holdout
 from network_calib.refine import Refined, refine
-from network_calib.refusals import refuse_bad_input, refuse_unobservable
+from network_calib.refusals import refuse_bad_input, refuse_unknown_anchor, refuse_unobservable
 from network_calib.result import (
     CalibratedCamera,
     Calibration,
@@ -64,6 +63,7 @@ def calibrate(
     anchor, options, report = anchor or UnitScale(), options or Options(), progress or (lambda _step, _part: None)
     views = SpotViews.of(observations)
     refuse_bad_input(observations, setups, views)
+    refuse_unknown_anchor(anchor, observations.camera_names)
     try:
         network = optimise(setups, views, anchor=anchor, options=options, seed=seed, progress=report)
     except (DegenerateError, ConvergenceError) as error:
@@ -152,13 +152,14 @@ def _doubts(
     """Everything that a person should know before trusting the result."""
     offsets = estimate_time_offsets(refined.problem, refined.state, views, np.flatnonzero(refined.is_inlier))
     fitted, holdout = quality.overall_error(refined, views), quality.overall_holdout(held)
+    freed = _freed(setups, refined, views, options)
     return (
         *doubts.about_convergence(refined.has_converged, twin_ratio),
         *doubts.about_cameras(setups, qualities, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px),
         *doubts.about_geometry(network.graph, refined.cameras),
         *doubts.about_holdout(fitted, holdout, held.agreeing_share),
         *doubts.about_time(network.graph.names, offsets),
-        *doubts.about_given_intrinsics(setups, _freed(setups, refined, views, options)),
+        *doubts.about_given_intrinsics(setups, freed.cameras, refined.noise / freed.noise),
     )
 
 
@@ -176,12 +177,12 @@ def _repeat_spread(
     return max(centre, default=float("nan")), max(focal_px, default=float("nan"))
 
 
-def _freed(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, options: Options) -> Cameras:
-    """The cameras with held intrinsics let go (as priors), to see what the data want."""
+def _freed(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, options: Options) -> Refined:
+    """The optimum with held intrinsics let go (as priors), to see what the data want."""
     if not any(setup.knowledge is Knowledge.FIXED for setup in setups):
-        return refined.cameras
+        return refined
     freed = [replace(s, knowledge=Knowledge.INITIAL) if s.knowledge is Knowledge.FIXED else s for s in setups]
-    return refine(freed, refined.cameras, views, rejection=options.rejection).cameras
+    return refine(freed, refined.cameras, views, rejection=options.rejection)
 
 
 def program_version() -> str:

@@ -19,22 +19,31 @@ from network_calib.room_setup import CameraSetup, Knowledge
 MAX_SHIFT_FRAMES = 50
 MAX_MATCHES = 400
 MIN_MATCHES = 50
+# Fewer shared spots than this are a short piece of way, which fits any epipolar geometry.
+MIN_SHARED, MAX_PARTNERS = 200, 3
 TOLERANCE_PX = 2.0
-# A right shift makes most matches agree; a wrong one only those that lie near their epipolar line by chance.
-MIN_SHARE, MIN_GAIN = 0.6, 1.5
+# A right shift makes most matches agree (half of them, where each view has 30 % false detections); a wrong one only
+# those that lie near their epipolar line by chance.
+MIN_SHARE, MIN_GAIN = 0.5, 1.5
+# Half of a mirrored network can be fitted with errors of some px; the right one fits to a detector's noise.
+MAX_HONEST_NOISE_PX = 2.0
 
 
 def late_cameras(observations: Observations, graph: PairGraph) -> tuple[str, ...]:
-    """Sentences about cameras that agree with their best partner once their frame numbers are shifted."""
+    """Sentences about cameras that agree with their partners once their frame numbers are shifted."""
     main = set(graph.islands()[0])
     suspects = [c for c in range(observations.n_cameras) if c not in main]
     suspects += [d.camera for d in graph.disagreeing_cameras() if d.camera in main]
     sentences = []
     for c in suspects:
-        partners = sorted((p for p in range(observations.n_cameras) if p != c), key=lambda p: -graph.shared[c, p])
-        partner = next((p for p in partners if p in main), partners[0])
-        shift, share, share_unshifted = best_shift(observations, c, partner)
-        if shift != 0 and share > max(MIN_SHARE, MIN_GAIN * share_unshifted):
+        partners = [p for p in main - {c} if graph.shared[c, p] >= MIN_SHARED]
+        partners = sorted(partners, key=lambda p: (-graph.shared[c, p], p))[:MAX_PARTNERS]
+        tried = [(*best_shift(observations, c, p), p) for p in partners]
+        told = [t for t in tried if t[0] != 0 and t[1] > max(MIN_SHARE, MIN_GAIN * t[2])]
+        if not told:
+            continue
+        shift, share, share_unshifted, partner = max(told, key=lambda t: t[1])
+        if 2 * sum(t[0] == shift for t in told) > len(tried):
             word = "high" if shift > 0 else "low"
             sentences.append(
                 f"the frame numbers of {graph.names[c]} are {abs(shift)} too {word}: corrected, {100 * share:.0f} % of "
@@ -73,7 +82,7 @@ def _agreeing_share(frame_a: IntArray, px_a: FloatArray, frame_b: IntArray, px_b
 def mirrored_camera(
     setups: Sequence[CameraSetup],
     observations: Observations,
-    attempt: Callable[[Sequence[CameraSetup], Observations], object],
+    attempt: Callable[[Sequence[CameraSetup], Observations], float],
 ) -> str | None:
     """The name of the one camera whose mirrored image makes the network calibrate; None if there is no such camera.
 
@@ -82,17 +91,18 @@ def mirrored_camera(
     Args:
         setups: what is known of each camera.
         observations: as they are.
-        attempt: calibrates, or raises a SpotcalError.
+        attempt: calibrates and returns the largest noise of a camera in px, or raises a SpotcalError.
     """
     for c, setup in enumerate(setups):
         flipped_px = observations.px.copy()
         own = observations.camera == c
         flipped_px[own, 0] = setup.size_px[0] - 1 - flipped_px[own, 0]
         try:
-            attempt([*setups[:c], _flipped(setup), *setups[c + 1 :]], replace(observations, px=flipped_px))
+            noise_px = attempt([*setups[:c], _flipped(setup), *setups[c + 1 :]], replace(observations, px=flipped_px))
         except SpotcalError:
             continue
-        return setup.name
+        if noise_px < MAX_HONEST_NOISE_PX:
+            return setup.name
     return None
 
 

@@ -21,6 +21,7 @@ MAX_NOISE_RATIO = 4.0
 MAX_HOLDOUT_RATIO = 1.5
 MAX_OFFSET_FRAMES = 0.1
 MIN_TWIN_RATIO = 1.5
+MAX_HELD_NOISE_RATIO = 1.2
 OPTICS_WORDS = ("focal length", "aspect", "centre x", "centre y", "d0", "d1", "d2", "d3")
 
 
@@ -129,12 +130,13 @@ def about_time(names: Sequence[str], offsets: TimeOffsets) -> Iterator[Doubt]:
             )
 
 
-def about_given_intrinsics(setups: Sequence[CameraSetup], free: Cameras) -> Iterator[Doubt]:
+def about_given_intrinsics(setups: Sequence[CameraSetup], free: Cameras, noise_ratio: FloatArray) -> Iterator[Doubt]:
     """Given intrinsics that the data contradict.
 
     Args:
         setups: what was given.
         free: cameras estimated with the given intrinsics as priors, not held.
+        noise_ratio: (C,) noise with held intrinsics over that without.
     """
     for c, setup in enumerate(setups):
         if setup.knowledge is Knowledge.UNKNOWN or setup.intrinsics is None:
@@ -143,8 +145,8 @@ def about_given_intrinsics(setups: Sequence[CameraSetup], free: Cameras) -> Iter
         # Distortion terms trade against each other; the focal length and the principal point speak for themselves.
         off = np.abs(found - given)[[0, 2, 3]] / prior_sigma(setup)[[0, 2, 3]]
         worst = int(np.array([0, 2, 3])[np.argmax(off)])
-        if off.max() > 1.0:
-            held = setup.knowledge is Knowledge.FIXED
+        held = setup.knowledge is Knowledge.FIXED
+        if off.max() > 1.0 or (held and noise_ratio[c] > MAX_HELD_NOISE_RATIO):
             yield Doubt(
                 "intrinsics",
                 f"{setup.name}: the data contradict the given {OPTICS_WORDS[worst]} {given[worst]:.1f} px: "

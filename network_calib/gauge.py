@@ -58,7 +58,7 @@ def fit_similarity(source: FloatArray, target: FloatArray) -> Similarity:
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     source_rest, target_rest = source - source_mean, target - target_mean
     left, strength, right = np.linalg.svd(target_rest.T @ source_rest)
-    if strength[1] < 1e-8 * strength[0]:
+    if strength[1] <= 1e-8 * strength[0]:
         raise DegenerateError("the known positions lie on one line: the turn about it stays free")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation = left * sign @ right

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from network_calib.anchor import anchor_start
 from network_calib.cameras import Cameras, cam_from_img
 from network_calib.diagnose import late_cameras, mirrored_camera
+from network_calib.epipolar import unbend
 from network_calib.errors import ConvergenceError, DegenerateError, FlatError, InputError, SpotcalError
-from network_calib.observations import FloatArray, Observations
+from network_calib.observations import BoolArray, FloatArray, Observations
 from network_calib.pairs import PairGraph, verify_pairs
 from network_calib.refine import Refined, refine
 from network_calib.refusals import refuse_disagreement, refuse_flat, refuse_islands
@@ -28,6 +29,8 @@ START_TOLERANCE_PX = 4.0
 MAX_FACTORISED_CAMERAS = 12
 # Enough to tell whether a mirrored camera is the reason, which takes one attempt for each camera.
 DIAGNOSED_FRAMES = 300
+# In a plane the epipolar geometry does not tell the lens: rays stay bent by some percent. Volumes stand far above.
+BENT_RAYS_SLACK = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +76,17 @@ def optimise(
             start = _start(method, problem, graph, anchor, seed)
             report("joint solve", 0.25)
             refined = refine(setups, started_cameras(setups, start), views, rejection=options.rejection)
-            refuse_disagreement(graph.names, _inlier_share(refined, views), refined.noise)
-            refuse_flat(setups, refined.cameras, views, refined.is_inlier)
+            refuse_disagreement(graph.names, _inlier_share(refined, views), refined.noise_px(views))
+            rays, has_ray = solved_rays(refined.cameras, views)
+            refuse_flat(setups, views, rays, refined.is_inlier & has_ray)
         except (DegenerateError, ConvergenceError) as error:
             failures.append(error)
             continue
         return Network(graph, start, refined)
-    # Flatness is the cause of whatever else went wrong.
+    # Flatness is the cause of whatever else went wrong. Two cameras side by side see a volume as if it were flat.
+    if len(setups) > 2:
+        rays = unbend(problem.ray_xy, graph.bend[problem.camera])
+        refuse_flat(setups, views, rays, graph.is_inlier, slack=BENT_RAYS_SLACK)
     raise next((failure for failure in failures if isinstance(failure, FlatError)), failures[0])
 
 
@@ -111,8 +118,12 @@ def explained(
     except SpotcalError:
         return error
 
-    def attempt(trial_setups: Sequence[CameraSetup], trial_observations: Observations) -> object:
-        return optimise(trial_setups, SpotViews.of(trial_observations), anchor=anchor, options=options, seed=seed)
+    one_start = replace(options, start=_methods(graph, options)[0])
+
+    def attempt(trial_setups: Sequence[CameraSetup], trial_observations: Observations) -> float:
+        trial_views = SpotViews.of(trial_observations)
+        network = optimise(trial_setups, trial_views, anchor=anchor, options=one_start, seed=seed)
+        return float(network.refined.noise_px(trial_views).max())
 
     late = late_cameras(observations, graph)
     if late:
@@ -167,6 +178,11 @@ def started_cameras(setups: Sequence[CameraSetup], start: Start) -> Cameras:
         intrinsics=intrinsics,
         cam_from_world=start.cam_from_world,
     )
+
+
+def solved_rays(cameras: Cameras, views: SpotViews) -> tuple[FloatArray, BoolArray]:
+    """(K, 2) undistorted rays of all views, and whether each has one."""
+    return cam_from_img(cameras.intrinsics[views.camera], cameras.is_fisheye[views.camera], views.px)
 
 
 def _methods(graph: PairGraph, options: Options) -> tuple[str, ...]:

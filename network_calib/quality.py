@@ -36,7 +36,7 @@ class Holdout:
 def hold_out(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, *, share: float) -> Holdout:
     """Fit without a share of the trajectory, in contiguous segments; triangulate these and measure them."""
     segment = np.arange(views.n_points) * N_SEGMENTS // max(views.n_points, 1)
-    every = max(round(1 / share), 2) if share > 0 else N_SEGMENTS + 1
+    every = max(round(1 / share), 2) if share > 0 else 2 * N_SEGMENTS
     is_held = segment % every == every // 2
     error_px = np.full(len(views.point), np.nan)
     if not is_held.any():
@@ -64,7 +64,7 @@ def camera_qualities(
 ) -> tuple[CameraQuality, ...]:
     """Figures of each camera."""
     error = np.linalg.norm(reprojection_error(refined.cameras, views, refined.points), axis=1)
-    typical_sigma = np.array([np.median(views.sigma_px[views.camera == c]) for c in range(len(setups))])
+    noise_px = refined.noise_px(views)
     out = []
     for c, setup in enumerate(setups):
         own = views.camera == c
@@ -74,7 +74,7 @@ def camera_qualities(
                 n_observations=int(own.sum()),
                 fitted=ErrorSummary.of(error[inlier]),
                 holdout=ErrorSummary.of(_finite(held.error_px[own])),
-                noise_sigma_px=float(refined.noise[c] * typical_sigma[c]),
+                noise_sigma_px=float(noise_px[c]),
                 coverage=coverage(setup, views.px[inlier]),
             )
         )

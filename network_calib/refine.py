@@ -7,7 +7,7 @@ camera's own noise, which is estimated, and one that was rejected is admitted ag
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,10 +33,10 @@ from network_calib.spots import (
 )
 
 ROBUST_ROUNDS, EXACT_ROUNDS = 4, 10
-SETTLED_SHARE = 0.001
+SETTLED_SHARE, SETTLED_NOISE = 0.002, 0.03
 # Rounds that are judged anew need no exact optimum; after the first, each starts close to its own.
-ROUGH = SolverOptions(cost_tolerance=1e-3, initial_damping=1e-5)
-MEDIUM = SolverOptions(cost_tolerance=1e-4, initial_damping=1e-6)
+ROUGH = SolverOptions(max_iterations=8, cost_tolerance=1e-3, initial_damping=1e-5)
+MEDIUM = SolverOptions(max_iterations=2, cost_tolerance=1e-4, initial_damping=1e-6)
 EXACT = SolverOptions(cost_tolerance=1e-9, initial_damping=1e-7)
 # A Cauchy loss of 2.4 sigma keeps 95 % efficiency for Gaussian noise (Holland, Welsch 1977).
 ROBUST_SCALE = 2.4
@@ -68,6 +68,11 @@ class Refined:
     state: State
     has_converged: bool
 
+    def noise_px(self, views: SpotViews) -> FloatArray:
+        """(C,) noise of each camera's typical detection, px."""
+        typical = [np.median(views.sigma_px[views.camera == c]) for c in range(len(self.cameras))]
+        return self.noise * np.array(typical)
+
 
 def refine(
     setups: Sequence[CameraSetup],
@@ -89,11 +94,14 @@ def refine(
     Raises:
         ConvergenceError: fewer than half of the cameras' observations agree, or the solve fails.
     """
+    cameras = _tied(setups, cameras)
     limit_px = np.full(len(views.camera), tolerance_px)
     points, is_inlier = locate(cameras, views, limit_px)
     noise = _robust_noise(cameras, views, points, is_inlier)
     for _ in range(ROBUST_ROUNDS):
-        cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, CauchyLoss(ROBUST_SCALE), ROUGH)
+        cameras, points, _, _ = _solve(
+            setups, cameras, views, points, is_inlier, noise, CauchyLoss(ROBUST_SCALE), ROUGH
+        )
         limit_px = np.minimum(limit_px, np.maximum(2 * rejection * noise[views.camera] * views.sigma_px, 0.5))
         points, is_inlier = locate(cameras, views, limit_px)
         previous, noise = noise, _robust_noise(cameras, views, points, is_inlier)
@@ -114,7 +122,7 @@ def _exact_rounds(
         sigma_px = noise[views.camera] * views.sigma_px
         points, is_inlier = _judge(cameras, views, points, is_inlier, sigma_px, rejection)
         n_changed = int((previous_inlier != is_inlier).sum())
-        if n_changed <= SETTLED_SHARE * len(is_inlier) and np.abs(np.log(noise / previous_noise)).max() < 0.02:
+        if n_changed <= SETTLED_SHARE * len(is_inlier) and np.abs(np.log(noise / previous_noise)).max() < SETTLED_NOISE:
             break
     cameras, points, problem, solution = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), EXACT)
     noise_now = estimate_noise(cameras, views, points, is_inlier, noise)
@@ -216,6 +224,17 @@ def intrinsics_groups(setups: Sequence[CameraSetup]) -> IntArray:
     """(C,) equal numbers for cameras that share their intrinsics."""
     names = [setup.group if setup.group is not None else f"\0{c}" for c, setup in enumerate(setups)]
     return np.unique(names, return_inverse=True)[1].astype(np.int64)
+
+
+def _tied(setups: Sequence[CameraSetup], cameras: Cameras) -> Cameras:
+    """The cameras with one set of intrinsics, the median, for each group: a step moves a group but cannot unite it."""
+    groups = intrinsics_groups(setups)
+    is_free = np.array([setup.knowledge is not Knowledge.FIXED for setup in setups])
+    intrinsics = cameras.intrinsics.copy()
+    for group in np.unique(groups[is_free]):
+        own = is_free & (groups == group)
+        intrinsics[own] = np.median(intrinsics[own], axis=0)
+    return replace(cameras, intrinsics=intrinsics)
 
 
 def _robust_noise(cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray) -> FloatArray:

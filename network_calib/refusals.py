@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from network_calib.cameras import Cameras, cam_from_img
 from network_calib.errors import DegenerateError, FlatError, InputError
 from network_calib.observations import BoolArray, FloatArray, Observations
 from network_calib.pairs import PairGraph
-from network_calib.room_setup import CameraSetup, Knowledge
+from network_calib.room_setup import Anchor, CameraSetup, Knowledge, KnownCentres, KnownDistance
 from network_calib.spots import SpotViews
 
 # A camera has up to 13 unknowns and each of its observations gives little more than one equation of its own.
@@ -20,12 +19,11 @@ MIN_OBSERVATIONS = 30
 MIN_PLANE_DEPARTURE, MIN_LINE_DEPARTURE = 0.03, 0.05
 # Pairs looked at for each camera: enough for a median in a network of hundreds.
 MAX_PARTNERS = 6
-# Of the located spots of a room with 10 % false detections some percent are false and lie anywhere.
-SPOT_SHARE, PLANE_ROUNDS = 0.9, 8
 MAX_RELATIVE_FOCAL_SIGMA = 0.1
 MIN_INLIER_SHARE = 0.5
-# A detector's noise is some tenths of a pixel; a camera ten times as noisy as the rest and beyond this is in error.
-MAX_NOISE_PX, MAX_NOISE_RATIO = 5.0, 10.0
+# A detector's noise is some tenths of a pixel; a camera ten times as noisy as the rest and beyond this is in error, and
+# so is a network whose cameras are all noisy.
+MAX_NOISE_PX, MAX_NOISE_RATIO, MAX_TYPICAL_NOISE_PX = 5.0, 10.0, 3.0
 
 
 def refuse_bad_input(observations: Observations, setups: Sequence[CameraSetup], views: SpotViews) -> None:
@@ -54,6 +52,22 @@ def refuse_bad_input(observations: Observations, setups: Sequence[CameraSetup], 
         )
 
 
+def refuse_unknown_anchor(anchor: Anchor, names: Sequence[str]) -> None:
+    """Anchors that name a camera which is not there.
+
+    Raises:
+        InputError: says which.
+    """
+    named: tuple[str, ...] = ()
+    if isinstance(anchor, KnownDistance):
+        named = (anchor.camera_a, anchor.camera_b)
+    if isinstance(anchor, KnownCentres):
+        named = anchor.names
+    unknown = [name for name in named if name not in names]
+    if unknown:
+        raise InputError(f"the anchor names camera {unknown[0]!r}; the room has {', '.join(names)}")
+
+
 def refuse_islands(graph: PairGraph) -> None:
     """Cameras that nothing ties together.
 
@@ -76,7 +90,9 @@ def refuse_islands(graph: PairGraph) -> None:
     )
 
 
-def refuse_flat(setups: Sequence[CameraSetup], cameras: Cameras, views: SpotViews, is_inlier: BoolArray) -> None:
+def refuse_flat(
+    setups: Sequence[CameraSetup], views: SpotViews, ray_xy: FloatArray, is_used: BoolArray, *, slack: float = 1.0
+) -> None:
     """Waving in a plane or along a line.
 
     Judged in the images, where a wrong world cannot hide it: when the spots of two views are one homography apart, they
@@ -84,24 +100,26 @@ def refuse_flat(setups: Sequence[CameraSetup], cameras: Cameras, views: SpotView
 
     Args:
         setups: what is known of each camera.
-        cameras: as solved; only their intrinsics count.
         views: K observations.
-        is_inlier: (K,).
+        ray_xy: (K, 2) undistorted rays.
+        is_used: (K,) honest observations.
+        slack: factor on the limits, for rays that may still be bent.
 
     Raises:
         FlatError: the spots are flat and some intrinsics are unknown, or lie on a line.
     """
-    departures = np.array(_departures_from_plane(cameras, views, is_inlier))
+    departures = np.array(_departures_from_plane(views, ray_xy, is_used))
     if not len(departures):
         return
     from_line, from_plane = np.median(departures, axis=0)
-    if from_line < MIN_LINE_DEPARTURE:
+    if from_line < slack * MIN_LINE_DEPARTURE:
         raise FlatError(
             f"the spot moved along a line (its images depart from one by {100 * from_line:.1f} % of their length): "
             "any number of wrong worlds fit such data perfectly",
             advice="Wave through the whole volume: near and far, high and low.",
         )
-    if from_plane < MIN_PLANE_DEPARTURE and any(setup.knowledge is Knowledge.UNKNOWN for setup in setups):
+    is_lens_unknown = any(setup.knowledge is Knowledge.UNKNOWN for setup in setups)
+    if from_plane < slack * MIN_PLANE_DEPARTURE and is_lens_unknown:
         raise FlatError(
             f"the spot moved in a plane (views depart from a homography by {100 * from_plane:.1f} % of their extent): "
             "wrong worlds fit such data too, however small the reprojection error",
@@ -109,16 +127,15 @@ def refuse_flat(setups: Sequence[CameraSetup], cameras: Cameras, views: SpotView
         )
 
 
-def _departures_from_plane(cameras: Cameras, views: SpotViews, is_inlier: BoolArray) -> list[tuple[float, float]]:
+def _departures_from_plane(views: SpotViews, ray_xy: FloatArray, is_used: BoolArray) -> list[tuple[float, float]]:
     """For each pair: departure of the spots from a line and from a homography, over their extent in the image."""
-    ray_xy, has_ray = cam_from_img(cameras.intrinsics[views.camera], cameras.is_fisheye[views.camera], views.px)
     by_camera = []
-    for c in range(len(cameras)):
-        rows = np.flatnonzero((views.camera == c) & is_inlier & has_ray)
+    for c in range(views.n_cameras):
+        rows = np.flatnonzero((views.camera == c) & is_used)
         by_camera.append((views.point[rows], ray_xy[rows]))
     out = []
-    for a in range(len(cameras)):
-        for b in range(a + 1, min(len(cameras), a + 1 + MAX_PARTNERS)):
+    for a in range(views.n_cameras):
+        for b in range(a + 1, min(views.n_cameras, a + 1 + MAX_PARTNERS)):
             _, at_a, at_b = np.intersect1d(by_camera[a][0], by_camera[b][0], return_indices=True)
             if len(at_a) < MIN_OBSERVATIONS:
                 continue
@@ -160,7 +177,9 @@ def refuse_disagreement(names: Sequence[str], inlier_share: FloatArray, noise_px
     Raises:
         DegenerateError: names the cameras.
     """
-    is_wild = (noise_px > MAX_NOISE_PX) & (noise_px > MAX_NOISE_RATIO * np.median(noise_px))
+    typical_px = np.median(noise_px)
+    is_wild = (noise_px > MAX_NOISE_PX) & (noise_px > MAX_NOISE_RATIO * typical_px)
+    is_wild |= (typical_px > MAX_TYPICAL_NOISE_PX) & (noise_px >= typical_px)
     poor = np.flatnonzero((inlier_share < MIN_INLIER_SHARE) | is_wild)
     if len(poor):
         listed = ", ".join(

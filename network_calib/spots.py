@@ -120,25 +120,55 @@ def spot_leverage(
     C is the covariance of the spot from its inliers, J the whitened derivative of the pixel by the spot. For an inlier
     it is the share of its own noise that the spot absorbs. Zero where the spot is not located.
     """
-    is_located = located(points)
-    rows = np.flatnonzero(is_located[views.point])
+    rows, _, by_point = _linearised(cameras, views, points, sigma_px)
+    spread = _spot_covariance(views, points, is_inlier, rows, by_point)
+    leverage = np.zeros((len(views.point), 2, 2))
+    leverage[rows] = np.einsum("imn,nij,jkn->nmk", by_point, spread[views.point[rows]], by_point, optimize=True)
+    return leverage
+
+
+def spots_from_cameras(
+    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, sigma_px: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where the cameras alone put each spot: one Gauss-Newton step from nearby positions.
+
+    Returns:
+        (F, 3) positions, NaN where not located, and (F, 3, 3) covariances, cameras taken as known.
+    """
+    rows, residual, by_point = _linearised(cameras, views, points, sigma_px)
+    spread = _spot_covariance(views, points, is_inlier, rows, by_point)
+    pull = np.einsum("imn,mn->in", by_point, np.nan_to_num(residual)) * is_inlier[rows]
+    gradient = np.stack([np.bincount(views.point[rows], part, minlength=len(points)) for part in pull], axis=1)
+    return points - np.einsum("fij,fj->fi", spread, gradient), spread
+
+
+def _linearised(
+    cameras: Cameras, views: SpotViews, points: FloatArray, sigma_px: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Rows of located spots, their whitened residuals (2, n), and derivatives (3, 2, n) by the spot."""
+    rows = np.flatnonzero(located(points)[views.point])
     camera, point = views.camera[rows], views.point[rows]
     columns = np.full((len(cameras), N_PARAMETERS), -1, dtype=np.int64)
-    block = CameraBlock(camera, point, np.zeros((2, len(rows))), 1 / sigma_px[rows], columns)
+    block = CameraBlock(camera, point, np.ascontiguousarray(views.px[rows].T), 1 / sigma_px[rows], columns)
     parts = {PART: CameraParameters.from_cameras(cameras, columns)}
-    _, _, by_point = block.linearise(parts, np.ascontiguousarray(points[point].T), slice(0, len(rows)))
-    by_point = np.nan_to_num(by_point)
-    weight = is_inlier[rows].astype(np.float64)
+    residual, _, by_point = block.linearise(parts, np.ascontiguousarray(points[point].T), slice(0, len(rows)))
+    return rows, residual, np.nan_to_num(by_point)
+
+
+def _spot_covariance(
+    views: SpotViews, points: FloatArray, is_inlier: BoolArray, rows: IntArray, by_point: FloatArray
+) -> FloatArray:
+    """(F, 3, 3) covariance of each spot from its inliers; zero where not located."""
+    point, weight = views.point[rows], is_inlier[rows].astype(np.float64)
     normal = np.zeros((len(points), 3, 3))
     for i in range(3):
         for j in range(i + 1):
             product = weight * np.einsum("mn,mn->n", by_point[i], by_point[j])
             normal[:, i, j] = normal[:, j, i] = np.bincount(point, product, minlength=len(points))
-    inverse = np.zeros_like(normal)
-    inverse[is_located] = np.linalg.pinv(normal[is_located], rcond=1e-12, hermitian=True)
-    leverage = np.zeros((len(views.point), 2, 2))
-    leverage[rows] = np.einsum("imn,nij,jkn->nmk", by_point, inverse[point], by_point, optimize=True)
-    return leverage
+    spread = np.zeros_like(normal)
+    is_located = located(points)
+    spread[is_located] = np.linalg.pinv(normal[is_located], rcond=1e-12, hermitian=True)
+    return spread
 
 
 def normalised_error(

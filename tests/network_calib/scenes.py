@@ -8,14 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from network_calib.blocks import Problem, State
+from network_calib.calibrate import calibrate
 from network_calib.camera_block import PART, CameraBlock
 from network_calib.camera_parameters import N_PARAMETERS, CameraParameters, free_columns
 from network_calib.cameras import Cameras, LensModel, poses_from_centres
 from network_calib.gauge import inner_gauge
 from network_calib.observations import FloatArray, IntArray, Observations
 from network_calib.refine import build_problem
+from network_calib.result import Calibration
 from network_calib.robust_loss import Loss, SquaredLoss
-from network_calib.room_setup import CameraSetup
+from network_calib.room_setup import CameraSetup, KnownDistance, Options
 from network_calib.spots import SpotViews
 from network_calib.synthetic import Room, Sighting, observe, room
 from network_calib.synthetic_rooms import look_at
@@ -46,6 +48,29 @@ def setups_of(scene: Room) -> list[CameraSetup]:
         CameraSetup(name, (int(width), int(height)), lens)
         for name, (width, height), lens in zip(cameras.names, cameras.size_px, cameras.lenses, strict=True)
     ]
+
+
+def stereo_anchor(scene: Room) -> KnownDistance:
+    """The true baseline of the stereo pair."""
+    return KnownDistance("C0", "C1", scene.baseline_m, is_stereo_pair=True)
+
+
+@functools.cache
+def calibrated(
+    name: str,
+    *,
+    seed: int = 0,
+    n_frames: int | None = None,
+    n_cameras: int | None = None,
+    missing: float = 0.3,
+    false_detections: float = 0.1,
+) -> tuple[Room, Calibration]:
+    """A named room calibrated from its own detections with the stereo baseline for scale."""
+    scene, seen = waved(
+        name, seed=seed, n_frames=n_frames, n_cameras=n_cameras, missing=missing, false_detections=false_detections
+    )
+    options = Options(n_repeats=1)
+    return scene, calibrate(seen.observations, setups_of(scene), anchor=stereo_anchor(scene), options=options)
 
 
 def joint_problem(

@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from network_calib import bundle
 from network_calib.blocks import Problem, State
-from network_calib.bundle import SolverOptions, solve
+from network_calib.bundle import SolverOptions, covariance, solve
 from network_calib.camera_block import PART, cameras_of
 from network_calib.camera_parameters import CameraParameters, free_columns
 from network_calib.cameras import LensModel
 from network_calib.errors import ConvergenceError
 from network_calib.priors import lens_prior
-from network_calib.robust_loss import CauchyLoss, HuberLoss, SquaredLoss
+from network_calib.robust_loss import CauchyLoss, HuberLoss
 from network_calib.spots import SpotViews
 from network_calib.synthetic import compare
 from network_calib.triangulate import triangulate
@@ -51,11 +51,15 @@ def peer_residuals(problem, start):
     return residuals
 
 
-@pytest.mark.parametrize("loss", [SquaredLoss(), CauchyLoss(2.4), HuberLoss(1.5)])
+@pytest.mark.parametrize("loss", [CauchyLoss(2.4), HuberLoss(1.5)])
 def test_optimum_is_that_of_scipy(loss):
-    scene, seen = waved("smart_room", n_cameras=3, n_frames=30, false_detections=0.1, seed=1)
-    problem, state, _ = joint_problem(scene, seen, loss=loss)
-    # From a tenth of the usual distance: with outliers, neither method promises the same local optimum from afar.
+    scene, seen = waved("ring_room", n_cameras=4, n_frames=60)
+    problem, state, _ = joint_problem(scene, seen)
+    (block,) = problem.point_blocks
+    # A twentieth of the detections are wrong by 1 px, five sigma: far out in both losses, yet with one optimum.
+    rng = np.random.default_rng(0)
+    px = block.px + np.where(rng.random(len(block.point)) < 0.05, rng.standard_normal(block.px.shape), 0.0)
+    problem = replace(problem, point_blocks=[replace(block, px=px, loss=loss)])
     start = perturbed(state, size=0.1)
     found = solve(problem, start, TIGHT)
     assert found.has_converged
@@ -67,17 +71,17 @@ def test_optimum_is_that_of_scipy(loss):
         xtol=1e-14,
         ftol=1e-14,
         gtol=1e-12,
-        max_nfev=200,
+        max_nfev=100,
     )
-    # Both stop within 1e-9 of the cost; the peer's differences leave it the less exact one.
+    # The peer has differences for derivatives and wanders along the free gauge: it stops within 1e-5, and never below.
     assert found.cost <= peer.cost * (1 + 1e-9)
-    assert peer.cost == pytest.approx(found.cost, rel=1e-6)
+    assert peer.cost == pytest.approx(found.cost, rel=1e-5)
     peer_state = start.retract(peer.x[:n], peer.x[n:].reshape(-1, 3).T)
-    truth = cameras_at(found.state, scene.cameras)
-    errors = compare(cameras_at(peer_state, scene.cameras), truth)
-    # A cost that is 1e-6 from its minimum of some 50 puts a parameter 1e-2 of its sigma off, here 2 cm and 4 px.
-    assert errors.centre_m.max() < 2e-4
-    assert np.abs(errors.focal_px).max() < 0.04
+    # Where the cost is d above a quadratic minimum, a parameter is at most sqrt(2 d) of its sigma off. Robust weights
+    # make the Hessian a little smaller than the one behind the sigma: twice that.
+    sigma = np.sqrt(np.diag(covariance(problem, found.state).shared))[cameras_of(start.parts).columns[:, 6]]
+    offset = cameras_of(peer_state.parts).optics[:, 0] - cameras_of(found.state.parts).optics[:, 0]
+    assert (np.abs(offset) < 2 * np.sqrt(2 * (peer.cost - found.cost)) * sigma).all()
 
 
 def test_exact_data_are_explained_exactly():
@@ -181,19 +185,21 @@ def replace_cameras(scene, intrinsics):
     return replace(scene, cameras=replace(scene.cameras, intrinsics=intrinsics))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_curved_valley_takes_few_iterations_thanks_to_the_acceleration(seed, monkeypatch):
+def test_curved_valley_takes_few_iterations_thanks_to_the_acceleration(monkeypatch):
     # Cameras on a ring that look at one place: focal length trades for distance, principal point for rotation.
-    scene, seen = waved("ring_room", n_cameras=6, n_frames=300, seed=seed)
-    problem, start = a_far_start(scene, seen)
-    found = solve(problem, start)
-    assert found.has_converged
-    assert found.n_iterations < 25
-    errors = compare(cameras_at(found.state, scene.cameras), scene.cameras)
-    assert np.abs(errors.focal_px).max() < 10  # it has reached the end of the valley: 70 px off at the start
+    rooms = [waved("ring_room", n_cameras=3, n_frames=300, seed=seed) for seed in range(3)]
+    starts = [a_far_start(scene, seen) for scene, seen in rooms]
+    found = [solve(problem, start) for problem, start in starts]
+    for (scene, _), (_, start), end in zip(rooms, starts, found, strict=True):
+        assert end.has_converged
+        assert end.n_iterations < 25
+        # At the end of the valley: the focal lengths are within some of their sigma of 1 px, from 70 px off.
+        assert np.abs(compare(cameras_at(end.state, scene.cameras), scene.cameras).focal_px).max() < 5
+        assert np.abs(compare(cameras_at(start, scene.cameras), scene.cameras).focal_px).max() > 60
     monkeypatch.setattr(bundle, "_accelerated", lambda _assembler, _state, _model, _system, step: step)
-    plain = solve(problem, start)
-    assert plain.n_iterations > found.n_iterations
+    plain = [solve(problem, start) for problem, start in starts]
+    np.testing.assert_allclose([end.cost for end in plain], [end.cost for end in found], rtol=1e-5)
+    assert sum(end.n_iterations for end in plain) > sum(end.n_iterations for end in found)
 
 
 def test_convergence_is_not_claimed_when_iterations_run_out():

@@ -81,9 +81,7 @@ def central_differences(block, state, n_columns, steps):
 def assert_is_derivative(analytic, numeric, steps, residual):
     # Roundoff of a difference: some 8 units in the last place of the largest number in the residual, over 2 h.
     roundoff = 8 * 2.2e-16 * (np.abs(residual).max() + 2000) / (2 * steps)
-    np.testing.assert_array_less(
-        np.abs(analytic - numeric), 1e-6 * np.abs(numeric) + roundoff[:, None, None] + 1e-300
-    )
+    np.testing.assert_array_less(np.abs(analytic - numeric), 1e-6 * np.abs(numeric) + roundoff[:, None, None] + 1e-300)
 
 
 @given(lens=st.sampled_from(LensModel), seed=st.integers(0, 10_000))

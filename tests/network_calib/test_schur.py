@@ -180,7 +180,9 @@ def test_banded_factorisation_of_a_chain_equals_the_dense_one(monkeypatch):
     # Both are backward stable: they differ by the condition number (of the scaled matrix) times the last place.
     scale = 1 / np.sqrt(np.diag(reduced))
     condition = np.linalg.cond(reduced * scale[:, None] * scale)
-    np.testing.assert_allclose(solution / scale, dense / scale, atol=100 * condition * 2.2e-16 * np.abs(dense / scale).max())
+    np.testing.assert_allclose(
+        solution / scale, dense / scale, atol=100 * condition * 2.2e-16 * np.abs(dense / scale).max()
+    )
 
 
 def test_a_large_network_that_is_no_chain_is_factorised_densely():

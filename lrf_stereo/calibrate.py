@@ -1,0 +1,153 @@
+"""Sections IV and V with the general model, as a list of steps: each LRF to the network, then all together.
+
+The own sequence of the paper is in `paper.py`; here its registration (weighted by the real noise) and the general
+tilt axis only make the start of one joint maximum-likelihood solve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lrf_stereo.lrf_priors import InstrumentSigma
+from lrf_stereo.paper import PlaneSamples, calibrate_screw
+from lrf_stereo.refine import LrfCovariance, LrfData, LrfRefined, NetworkData, lrf_covariance, refine_jointly
+from lrf_stereo.rigid import PointNoise
+from lrf_stereo.samples import LrfSpots, TiltSettings
+from lrf_stereo.scanner import TiltingScanner
+from network_calib.errors import DegenerateError
+from network_calib.observations import FloatArray, IntArray
+from network_calib.result import Doubt
+from network_calib.spots import located, spots_from_cameras
+
+MIN_SIGHTINGS = 6
+MIN_SPAN_RAD = float(np.radians(20.0))
+# Probability of a larger chi-square by chance, below which the model or the given sigmas are doubted.
+MAX_CHI2_SURPRISE_SIGMA = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class LrfCalibration:
+    """All LRFs of a network, calibrated together with it.
+
+    Attributes:
+        refined: the joint optimum: cameras, scanners, tilt angles, which sightings were used.
+        covariance: under the gauge of the first camera; of the scanners alone when the cameras were held.
+        chi2_per_dof: of the whole joint problem.
+        doubts: what a person should know.
+    """
+
+    refined: LrfRefined
+    covariance: LrfCovariance
+    chi2_per_dof: float
+    doubts: tuple[Doubt, ...]
+
+
+def calibrate_lrfs(
+    network: NetworkData,
+    spots: LrfSpots,
+    settings: TiltSettings,
+    *,
+    rng: np.random.Generator,
+    instrument: InstrumentSigma | None = None,
+    rejection: float = 4.0,
+) -> LrfCalibration:
+    """Calibrate every LRF of a network.
+
+    Args:
+        network: metric cameras with their spots; held, or solved again together with the LRFs.
+        spots: LRF sightings.
+        settings: measured tilt angles with their covariance.
+        rng: draws the triples of the start's RANSAC.
+        instrument: what the scanners may be wrong by; nothing by default.
+        rejection: sigma beyond which a sighting is an outlier.
+
+    Raises:
+        DegenerateError: too few sightings at a tilt, spots on a line, tilts that span less than 5 degrees; says where
+            to wave or tilt next.
+        ConvergenceError: no rigid motion agrees with the sightings of a tilt.
+    """
+    data = LrfData.of(spots, settings, network.views, instrument or InstrumentSigma())
+    scanners = tuple(_started(network, data, scanner, rng) for scanner in range(settings.n_scanners))
+    refined = refine_jointly(network, scanners, spots, settings, instrument=data.instrument, rejection=rejection)
+    spread = lrf_covariance(refined)
+    return LrfCalibration(refined, spread, refined.chi2 / max(refined.dof, 1), tuple(_doubts(refined, data)))
+
+
+def _started(network: NetworkData, data: LrfData, scanner: int, rng: np.random.Generator) -> TiltingScanner:
+    """One scanner by registration at each tilt and the general axis through the poses."""
+    settings = np.flatnonzero(data.settings.scanner == scanner)
+    samples, local = _plane_samples(network, data, settings)
+    _refuse_few(data, settings, local)
+    return calibrate_screw(samples, rng=rng).scanner
+
+
+def _plane_samples(network: NetworkData, data: LrfData, settings: IntArray) -> tuple[PlaneSamples, IntArray]:
+    """The sightings at some settings, paired with where the cameras put their spots."""
+    sigma_px = network.noise[network.views.camera] * network.views.sigma_px
+    positions, spread = spots_from_cameras(network.cameras, network.views, network.points, network.is_inlier, sigma_px)
+    is_usable = (data.point >= 0) & located(positions)[np.maximum(data.point, 0)]
+    rows = np.flatnonzero(is_usable & np.isin(data.spots.setting, settings))
+    local = np.searchsorted(settings, data.spots.setting[rows])
+    samples = PlaneSamples(
+        spot_in_cam=positions[data.point[rows]],
+        range_m=data.spots.range_m[rows],
+        bearing_rad=data.spots.bearing_rad[rows],
+        setting=local,
+        tilt_rad=data.settings.angle_rad[settings],
+        noise=PointNoise(spread[data.point[rows]], _scanner_noise(data, rows)),
+    )
+    return samples, local
+
+
+def _scanner_noise(data: LrfData, rows: IntArray) -> FloatArray:
+    """(n, 3, 3) covariance of scanner points: along the beam, across it in the plane, out of the plane."""
+    bearing, reach = data.spots.bearing_rad[rows], data.spots.range_m[rows]
+    cosine, sine, zero = np.cos(bearing), np.sin(bearing), np.zeros(len(rows))
+    axes = np.stack(
+        [
+            np.stack([cosine, -sine, zero], axis=1),
+            np.stack([sine, cosine, zero], axis=1),
+            np.stack([zero, zero, np.ones(len(rows))], axis=1),
+        ],
+        axis=1,
+    )
+    spread = data.sigma[:, rows].copy()
+    spread[1] *= reach
+    return (axes * (spread.T**2)[:, None, :]) @ axes.transpose(0, 2, 1)
+
+
+def _refuse_few(data: LrfData, settings: IntArray, local: IntArray) -> None:
+    count = np.bincount(local, minlength=len(settings))
+    poor = np.flatnonzero(count < MIN_SIGHTINGS)
+    if len(poor):
+        listed = ", ".join(
+            f"{np.degrees(data.settings.angle_rad[settings[t]]):.1f}° ({count[t]})" for t in poor.tolist()
+        )
+        raise DegenerateError(
+            f"too few spots in the scan plane at tilt {listed}; {MIN_SIGHTINGS} or more are needed at each",
+            advice="Cross the scan plane there more often, with the spot in view of two cameras.",
+        )
+
+
+def _doubts(refined: LrfRefined, data: LrfData) -> Iterator[Doubt]:
+    for scanner in range(data.settings.n_scanners):
+        angles = data.settings.angle_rad[data.settings.scanner == scanner]
+        if np.ptp(angles) < MIN_SPAN_RAD:
+            yield Doubt(
+                "tilt span",
+                f"LRF {scanner}: its tilts span {np.degrees(np.ptp(angles)):.1f}°",
+                "The axis is weak beyond them: add tilts that span 20° or more.",
+            )
+    # chi2 has variance 2 dof.
+    surprise = (refined.chi2 - refined.dof) / np.sqrt(2 * max(refined.dof, 1))
+    if surprise > MAX_CHI2_SURPRISE_SIGMA:
+        yield Doubt(
+            "lrf chi2",
+            f"residuals are larger than their sigmas say: chi2/dof {refined.chi2 / max(refined.dof, 1):.2f}",
+            "A tilt angle may be wrong, a crossing one-sided, or a clock late: look at the residuals by tilt.",
+        )
+    if not refined.has_converged:
+        yield Doubt("convergence", "the joint solve stopped before it settled", "Take more sightings.")
