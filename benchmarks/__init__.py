@@ -10,3 +10,10 @@ with one table. Nothing here fails on a slow machine: times are reported, and ju
     growth              5 to 200 cameras, 1,000 to 50,000 spots: time and memory exponents
     startup             `spotcal --help`
 """
+
+import os
+
+# Before NumPy is loaded, here and so in every child: more BLAS threads are slower on small matrices, and one core is
+# compared with one core.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"

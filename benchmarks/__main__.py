@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
-# Before NumPy is loaded, here and so in every child: more BLAS threads are slower on small matrices, and only one core
-# is compared with one core.
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_variable] = "1"
-
 import argparse
 import importlib
+import os
 import platform
 import sys
 import time

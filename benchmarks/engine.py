@@ -23,7 +23,7 @@ def measure(run: Run) -> Iterator[Row]:
         for missing in (0.0, 0.3):
             what = f"{n_cameras} cameras × {n_points} spots" + (f", {missing:.0%} missing" if missing else "")
             yield from _times(what, ring(n_cameras, n_points, missing), time_reach, run)
-            yield _memory(what, n_cameras, n_points, missing)
+            yield from _memory(what, n_cameras, n_points, missing)
 
 
 def _times(what: str, scene: Scene, reach: float, run: Run) -> Iterator[Row]:
@@ -47,15 +47,15 @@ def _median_s(solved: list[Solved]) -> float:
     return float(np.median([one.seconds for one in solved]))
 
 
-def _memory(what: str, n_cameras: int, n_points: int, missing: float) -> Row:
+def _memory(what: str, n_cameras: int, n_points: int, missing: float) -> Iterator[Row]:
+    """The peak of the process, libraries and all, is what a machine must have; beside it the part of the problem."""
     (our_mb, our_peak_mb), (their_mb, their_peak_mb) = (
         in_child(memory_of, solve, n_cameras, n_points, missing) for solve in (solve_ours, _solve_colmap_one_core)
     )
-    note = (
-        f"{our_mb:.0f} MB / {their_mb:.0f} MB above what stands in memory before; "
-        f"whole process {our_peak_mb:.0f} / {their_peak_mb:.0f} MB"
-    )
-    return at_most(f"{what}: memory of posing and solving, engine / pycolmap", our_mb / their_mb, 1.0, note=note)
+    note = f"{our_peak_mb:.0f} MB / {their_peak_mb:.0f} MB"
+    yield at_most(f"{what}: peak memory of the process, engine / pycolmap", our_peak_mb / their_peak_mb, 1.0, note=note)
+    part = f"{our_mb / their_mb:.3g} ({our_mb:.0f} MB / {their_mb:.0f} MB)"
+    yield Row(f"{what}: of that added by posing and solving the problem, engine / pycolmap", part)
 
 
 def _solve_colmap_one_core(scene: Scene) -> Solved:

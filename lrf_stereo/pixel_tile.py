@@ -72,7 +72,7 @@ class LensGroup:
             centre_x=columns[2],
             centre_y=columns[3],
             terms=columns[4:],
-            end=np.asarray(cameras.size_px[members].T[:, :, None] - 0.5),
+            end=cameras.size_px[members].T[:, :, None].astype(np.float64) - 0.5,
             fold_r2=lens.fold_r2(columns[4:])[:, None],
             minus_turn=np.ascontiguousarray(-poses[:, :3, :3].transpose(0, 2, 1)),
             active=active,

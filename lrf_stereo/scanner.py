@@ -123,7 +123,8 @@ class TiltingScanner:
         tilt_gain: angle turned over angle reported.
         range_bias_m: see the module.
         range_scale: see the module.
-        bearing_zero_rad: see the module.
+        bearing_zero_rad: see the module. A turn of the LRF about its own z does the same, so a solve that frees the
+            pose must hold this.
     """
 
     world_from_lrf: RigidTransform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
@@ -13,8 +13,9 @@ import numpy as np
 from network_calib import doubts, quality
 from network_calib.errors import ConvergenceError, DegenerateError
 from network_calib.observations import Observations
-from network_calib.optimum import Network, Progress, better_of_twins, explained, optimise
-from network_calib.quality import Holdout
+from network_calib.optimum import Progress, better_of_twins, explained, optimise
+from network_calib.pairs import PairGraph
+from network_calib.quality import Holdout, Repeats
 from network_calib.refine import Refined, refine
 from network_calib.refusals import refuse_bad_input, refuse_unknown_anchor, refuse_unobservable
 from network_calib.result import (
@@ -80,15 +81,16 @@ def calibrate(
     report("hold-out", 0.65)
     held = quality.hold_out(setups, refined, views, share=options.holdout_share)
     report("repeats", 0.7)
-    repeat_spread = _repeat_spread(setups, views, anchor, options, seed, refined)
+    repeats = _repeat(setups, views, anchor, options, seed, refined)
     report("checks", 0.95)
     qualities = quality.camera_qualities(setups, refined, views, held)
-    warnings = _doubts(setups, views, options, network, twin_ratio, refined, spread, qualities, held)
+    findings = _Findings(network.graph, twin_ratio, refined, spread, held, qualities, repeats)
+    warnings = _doubts(setups, views, options, findings)
     report("done", 1.0)
     return Calibration(
         cameras=_calibrated_cameras(setups, refined, spread, qualities),
         world=world,
-        quality=_network_quality(views, refined, spread, held, repeat_spread),
+        quality=_network_quality(views, refined, spread, held, repeats),
         warnings=warnings,
         provenance=Provenance(
             program_version=program_version(),
@@ -100,6 +102,19 @@ def calibrate(
             options_json=_canonical_json(options, anchor),
         ),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Findings:
+    """What the doubts are raised from."""
+
+    graph: PairGraph
+    twin_ratio: float
+    refined: Refined
+    spread: Uncertainty
+    held: Holdout
+    qualities: tuple[CameraQuality, ...]
+    repeats: Repeats
 
 
 def _calibrated_cameras(
@@ -121,7 +136,7 @@ def _calibrated_cameras(
 
 
 def _network_quality(
-    views: SpotViews, refined: Refined, spread: Uncertainty, held: Holdout, repeat_spread: tuple[float, float]
+    views: SpotViews, refined: Refined, spread: Uncertainty, held: Holdout, repeats: Repeats
 ) -> NetworkQuality:
     rows = np.flatnonzero(refined.is_inlier)
     return NetworkQuality(
@@ -133,48 +148,47 @@ def _network_quality(
         chi2_per_dof=quality.chi2_per_dof(refined, views, ~np.isnan(views.observations.sigma_px)),
         spot_sigma_median=float(np.median(spread.spot_sigma)),
         spot_sigma_p95=float(np.percentile(spread.spot_sigma, 95)),
-        repeat_centre_spread=repeat_spread[0],
-        repeat_focal_spread_px=repeat_spread[1],
+        repeat_centre_spread=repeats.centre_spread,
+        repeat_focal_spread_px=repeats.focal_spread_px,
     )
 
 
 def _doubts(
-    setups: Sequence[CameraSetup],
-    views: SpotViews,
-    options: Options,
-    network: Network,
-    twin_ratio: float,
-    refined: Refined,
-    spread: Uncertainty,
-    qualities: Sequence[CameraQuality],
-    held: Holdout,
+    setups: Sequence[CameraSetup], views: SpotViews, options: Options, findings: _Findings
 ) -> tuple[Doubt, ...]:
     """Everything that a person should know before trusting the result."""
+    refined, spread, held = findings.refined, findings.spread, findings.held
     offsets = estimate_time_offsets(refined.problem, refined.state, views, np.flatnonzero(refined.is_inlier))
     fitted, holdout = quality.overall_error(refined, views), quality.overall_holdout(held)
     freed = _freed(setups, refined, views, options)
     return (
-        *doubts.about_convergence(refined.has_converged, twin_ratio),
-        *doubts.about_cameras(setups, qualities, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px),
-        *doubts.about_geometry(network.graph, refined.cameras),
+        *doubts.about_convergence(refined.has_converged, findings.twin_ratio),
+        *doubts.about_repeats(findings.repeats, spread.cameras),
+        *doubts.about_cameras(setups, findings.qualities, refined.cameras.intrinsics[:, 0], spread.focal_sigma_px),
+        *doubts.about_geometry(findings.graph, refined.cameras),
         *doubts.about_holdout(fitted, holdout, held.agreeing_share),
-        *doubts.about_time(network.graph.names, offsets),
+        *doubts.about_time(findings.graph.names, offsets),
         *doubts.about_given_intrinsics(setups, freed.cameras, refined.noise / freed.noise),
     )
 
 
-def _repeat_spread(
+def _repeat(
     setups: Sequence[CameraSetup], views: SpotViews, anchor: Anchor, options: Options, seed: int, refined: Refined
-) -> tuple[float, float]:
-    """Largest differences of centres and focal lengths to runs with the next seeds."""
-    centre, focal_px = [], []
+) -> Repeats:
+    """The same calibration with the next seeds, compared in the world frame."""
+    centre, focal_px, n_failed = [], [], 0
     for other_seed in range(seed + 1, seed + options.n_repeats):
-        network = optimise(setups, views, anchor=anchor, options=options, seed=other_seed)
+        try:
+            network = optimise(setups, views, anchor=anchor, options=options, seed=other_seed)
+        except (DegenerateError, ConvergenceError):
+            n_failed += 1
+            continue
         _, other = in_world(network.refined, views, anchor, options)
         offset = other.cameras.centres_in_world - refined.cameras.centres_in_world
         centre.append(float(np.linalg.norm(offset, axis=1).max()))
         focal_px.append(float(np.abs(other.cameras.intrinsics[:, 0] - refined.cameras.intrinsics[:, 0]).max()))
-    return max(centre, default=float("nan")), max(focal_px, default=float("nan"))
+    none = float("nan")
+    return Repeats(max(centre, default=none), max(focal_px, default=none), n_failed, options.n_repeats - 1)
 
 
 def _freed(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, options: Options) -> Refined:

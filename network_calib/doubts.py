@@ -10,6 +10,7 @@ from network_calib.cameras import Cameras
 from network_calib.observations import FloatArray
 from network_calib.pairs import Overlap, PairGraph
 from network_calib.priors import optics_of, prior_sigma
+from network_calib.quality import Repeats
 from network_calib.result import CameraQuality, Doubt, ErrorSummary
 from network_calib.room_setup import CameraSetup, Knowledge
 from network_calib.sync import TimeOffsets
@@ -36,6 +37,28 @@ def about_convergence(has_converged: bool, twin_cost_ratio: float) -> Iterator[D
             "twin",
             f"a mirrored world fits nearly as well ({twin_cost_ratio:.2f} x the cost)",
             "Through long lenses depth can turn inside out: wave nearer to the cameras, or add one at a wide angle.",
+        )
+
+
+def about_repeats(repeats: Repeats, camera_covariance: FloatArray) -> Iterator[Doubt]:
+    """Other seeds that lead elsewhere, or nowhere.
+
+    Args:
+        repeats: what other seeds gave.
+        camera_covariance: (C, 14, 14); the centres' part says how far apart two honest answers may lie.
+    """
+    if repeats.n_failed:
+        yield Doubt(
+            "repeat",
+            f"with {repeats.n_failed} of {repeats.n_repeats} other seeds the calibration fails",
+            "The start is close to failing: wave longer, and where several cameras see the spot at once.",
+        )
+    allowed = float(np.sqrt(np.trace(camera_covariance[:, 3:6, 3:6], axis1=1, axis2=2).max()))
+    if repeats.centre_spread > allowed:
+        yield Doubt(
+            "repeat",
+            f"another seed moves a camera centre by {repeats.centre_spread:.3g}, its predicted sigma is {allowed:.3g}",
+            "The data allow more than one answer: wave longer, through the whole volume.",
         )
 
 

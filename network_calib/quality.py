@@ -33,6 +33,23 @@ class Holdout:
     agreeing_share: float
 
 
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """The same calibration with other seeds.
+
+    Attributes:
+        centre_spread: largest distance of a camera centre from the reported one; world units, NaN without repeats.
+        focal_spread_px: largest difference of a focal length.
+        n_failed: repeats that did not calibrate.
+        n_repeats: how many were tried.
+    """
+
+    centre_spread: float
+    focal_spread_px: float
+    n_failed: int
+    n_repeats: int
+
+
 def hold_out(setups: Sequence[CameraSetup], refined: Refined, views: SpotViews, *, share: float) -> Holdout:
     """Fit without a share of the trajectory, in contiguous segments; triangulate these and measure them."""
     segment = np.arange(views.n_points) * N_SEGMENTS // max(views.n_points, 1)

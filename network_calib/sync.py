@@ -1,8 +1,8 @@
 """Is a camera out of step with the rest? One time offset per camera, estimated in the joint solve.
 
 A detection that was taken dt later shows the spot where it will be: pixel = projection + velocity * dt. The velocity
-in the image is the central difference over the neighbouring detections, so the offset is one more shared parameter for each
-camera.
+in the image is the central difference over the neighbouring detections, so the offset is one more shared parameter for
+each camera.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from network_calib.robust_loss import Loss
 from network_calib.spots import SpotViews
 
 CLOCKS = "clocks"
-# Neighbouring detections further apart, in usual steps, say nothing of the velocity between them: a hand turns in 0.2 s.
+# Neighbouring detections further apart, in usual steps, do not tell the velocity between them: a hand turns in 0.2 s.
 MAX_GAP = 3
 # A camera has 14 parameters and a clock; fewer rows would leave the extended problem loose.
 MIN_TELLING = 50

@@ -1,6 +1,7 @@
 """Section IV on the paper's set-up: exact data, real noise, wrong pairs, refusals."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -66,6 +67,7 @@ def test_a_mount_misalignment_of_one_degree_harms_the_paper_method(rng):
     assert errors_at(found, truth, TILTS[2], rng)[0] > 2
 
 
+@cache
 def medians(method, *, n, wrong=0.0):
     """Median over runs of the pixel error at each checked tilt."""
     truth, runs = scanner(), []
@@ -122,7 +124,7 @@ def test_same_seed_same_calibration(rng):
 
 
 def test_more_tilts_than_three_serve_the_screw_and_not_the_paper(rng):
-    tilts = np.deg2rad([5.0, 15.0, 30.0, 45.0])
+    tilts = np.deg2rad([12.0, 20.0, 30.0, 45.0])
     truth = scanner()
     samples = plane_samples(truth, 12, rng, tilts=tilts)
     found = calibrate_screw(samples, rng=rng)

@@ -101,8 +101,7 @@ def test_weighing_by_the_stereo_noise_reaches_the_bound():
     plain, weighted, nees = [], [], []
     for seed in range(n_runs):
         rng = np.random.default_rng(seed)
-        sigma = Noise(pixel=0.03)  # a tenth of the real noise: the bound is a statement about small errors
-        samples = plane_samples(truth, 22, rng, tilts=TILTS[1:2], noise=sigma)
+        samples = plane_samples(truth, 22, rng, tilts=TILTS[1:2], noise=Noise())
         expected = truth.world_from_lrf_at(TILTS[1])
         source, noise = samples.point_in_lrf, samples.noise
         assert noise is not None
@@ -110,7 +109,8 @@ def test_weighing_by_the_stereo_noise_reaches_the_bound():
             fits.append(fit_rigid(source, samples.spot_in_cam, noise=given_noise) * expected.inv())
         nees.append(normalised_error(weighted[-1], expected, source, noise))
     angle = [np.mean([error.rotation.magnitude() ** 2 for error in fits]) ** 0.5 for fits in (plain, weighted)]
-    assert angle[1] < 0.6 * angle[0]
+    # Depth errs tens of times more than across: unweighted, 16 mrad against 2.4; an rms of 300 runs errs by 4 %.
+    assert angle[1] < 0.25 * angle[0]
     # chi2 with 6 degrees of freedom: mean 6, sd of the mean sqrt(12 / 300) = 0.2; four of them. The uniform error of
     # the bearing and 1 mm rounding are taken as Gaussian of equal variance, which changes no mean.
     assert np.mean(nees) == pytest.approx(6, abs=0.8)
@@ -122,10 +122,8 @@ def normalised_error(error, expected, source, noise):
     information = noise.information(rotation)
     at = expected.apply(source)
     # (error * expected) s - expected s = w x at + v for a small turn w and shift v of the whole space.
-    rows = np.concatenate(
-        [-np.cross(np.eye(3), at[:, None]).swapaxes(1, 2), np.tile(np.eye(3), (len(at), 1, 1))], axis=2
-    )
-    rows[:, :, :3] = np.stack([np.cross(unit, at) for unit in np.eye(3)], axis=2)
+    turned = np.stack([np.cross(unit, at) for unit in np.eye(3)], axis=2)
+    rows = np.concatenate([turned, np.tile(np.eye(3), (len(at), 1, 1))], axis=2)
     hessian = (rows.swapaxes(1, 2) @ information @ rows).sum(axis=0)
     step = np.concatenate([error.rotation.as_rotvec(), error.translation])
     return step @ hessian @ step
@@ -152,7 +150,7 @@ def test_wrong_pairs_are_found_and_change_nothing(share):
 
 def test_noise_tells_wrong_pairs_better_than_a_distance():
     truth, scores = scanner(), []
-    for seed in range(40):
+    for seed in range(25):
         rng = np.random.default_rng(seed)
         samples = plane_samples(truth, 22, rng, tilts=TILTS[1:2], noise=Noise(), wrong=0.2)
         error = samples.spot_in_cam - truth.points_in_world(samples.range_m, samples.bearing_rad, TILTS[1])

@@ -96,6 +96,13 @@ def joint_problem(
     return (problem if has_prior else Problem(problem.point_blocks, (), problem.gauge)), state, views
 
 
+def block_of(problem: Problem) -> CameraBlock:
+    """The one camera block of a problem."""
+    (block,) = problem.point_blocks
+    assert isinstance(block, CameraBlock)
+    return block
+
+
 def perturbed(state: State, *, seed: int = 0, size: float = 1.0) -> State:
     """The state with cameras turned by about 0.6 degrees, moved by 2 cm, focal lengths off by 8 px, spots by 2 cm."""
     rng = np.random.default_rng(seed)

@@ -21,6 +21,7 @@ from network_calib.synthetic import compare
 from network_calib.triangulate import triangulate
 from tests.network_calib.scenes import (
     SIGMA_PX,
+    block_of,
     camera_block,
     joint_problem,
     perturbed,
@@ -37,7 +38,7 @@ def cameras_at(state, cameras):
 
 def peer_residuals(problem, start):
     """Residuals as a function of one flat vector, each measurement scaled so that half its square is half its loss."""
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     n = start.n_shared
 
     def residuals(x):
@@ -55,7 +56,7 @@ def peer_residuals(problem, start):
 def test_optimum_is_that_of_scipy(loss):
     scene, seen = waved("ring_room", n_cameras=4, n_frames=60)
     problem, state, _ = joint_problem(scene, seen)
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     # A twentieth of the detections are wrong by 1 px, five sigma: far out in both losses, yet with one optimum.
     rng = np.random.default_rng(0)
     px = block.px + np.where(rng.random(len(block.point)) < 0.05, rng.standard_normal(block.px.shape), 0.0)
@@ -88,7 +89,7 @@ def test_exact_data_are_explained_exactly():
     scene, _ = waved("ring_room", n_cameras=4, n_frames=100)
     problem, state, views = joint_problem(scene, waved("ring_room", n_cameras=4, n_frames=100)[1], has_prior=False)
     px, _ = scene.cameras.img_from_world(views.camera, scene.trajectory[views.frames][views.point])
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     exact = Problem([replace(block, px=np.ascontiguousarray(px.T))], (), problem.gauge)
     found = solve(exact, perturbed(state), TIGHT)
     errors = compare(cameras_at(found.state, scene.cameras), scene.cameras)
@@ -125,7 +126,7 @@ def test_order_of_cameras_and_of_observations_changes_nothing():
     problem, state, _ = joint_problem(scene, seen, has_prior=False)
     start = perturbed(state)
     found = solve(problem, start, TIGHT)
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     rng = np.random.default_rng(3)
     order = rng.permutation(5)  # new camera i is the old one order[i]
     number = np.argsort(order)
@@ -162,7 +163,7 @@ def test_same_input_gives_the_same_digits():
 
 
 def a_far_start(scene, seen):
-    """Nothing known of the lenses: focal lengths 15 % long, image centre, no distortion; true poses, spots from them."""
+    """Nothing known of the lenses: focal lengths 15 % long, image centre, no distortion. Poses true, spots by them."""
     views = SpotViews.of(seen.observations)
     setups = setups_of(scene)
     intrinsics = np.stack([setup.nominal_intrinsics() for setup in setups])
@@ -212,7 +213,7 @@ def test_convergence_is_not_claimed_when_iterations_run_out():
 def test_cost_is_that_of_the_residuals_and_falls():
     problem, state, _ = joint_problem(*waved("smart_room", n_frames=60), loss=HuberLoss(1.0))
     start = perturbed(state)
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     whitened = block.residual(start.parts, start.points[:, block.point], slice(0, len(block.point)))
     prior, _ = problem.shared_blocks[0].linearise(start.parts)
     expected = 0.5 * (HuberLoss(1.0).cost((whitened**2).sum(axis=0)).sum() + prior @ prior)
@@ -230,7 +231,7 @@ def test_a_start_with_a_spot_behind_a_camera_is_refused():
 
 def test_fixed_cameras_stay_and_spots_are_found():
     scene, seen = waved("smart_room", n_frames=60)
-    problem, state, views = joint_problem(scene, seen)
+    _, state, views = joint_problem(scene, seen)
     columns = np.full((5, 14), -1)
     parameters = CameraParameters.from_cameras(scene.cameras, columns)
     block = camera_block(views.camera, views.point, views.px, columns)

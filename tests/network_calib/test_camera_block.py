@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from network_calib.blocks import State
-from network_calib.camera_block import PART, CameraBlock
+from network_calib.camera_block import PART, CameraBlock, cameras_of
 from network_calib.camera_parameters import N_PARAMETERS, CameraParameters
 from network_calib.cameras import Cameras, LensModel, cam_from_img, poses_from_centres
 from network_calib.synthetic_rooms import look_at
 
 # One free tangent vector for a single camera, aspect included.
 ALL_FREE = np.arange(N_PARAMETERS)[None]
-# Rotation, centre, focal length, aspect, principal point, distortion: steps of a central difference. The pixel is linear
-# in all intrinsics; along angles and positions it curves over lengths of the depth, here > 0.17 m, so that the
+# Rotation, centre, focal length, aspect, principal point, distortion: steps of a central difference. The pixel is
+# linear in all intrinsics; along angles and positions it curves over lengths of the depth, here > 0.17 m, so that the
 # truncation h^2 / (6 z^2) is below 1e-9.
 STEPS = np.array([*[1e-5] * 3, *[1e-5] * 3, 1e-2, 1e-5, 1e-2, 1e-2, *[1e-5] * 4])
 POINT_STEP = 1e-5
@@ -68,7 +68,10 @@ def central_differences(block, state, n_columns, steps):
         moved = state.retract(shared_step, point_step)
         return block.residual(moved.parts, moved.points[:, block.point], rows)
 
-    by_shared = [(residual(h * e, none) - residual(-h * e, none)) / (2 * h) for h, e in zip(steps, np.eye(n_columns))]
+    by_shared = [
+        (residual(h * e, none) - residual(-h * e, none)) / (2 * h)
+        for h, e in zip(steps, np.eye(n_columns), strict=True)
+    ]
     by_point = []
     for k in range(3):
         step = none.copy()
@@ -123,7 +126,7 @@ def test_fisheye_derivative_has_no_step_where_the_series_takes_over():
     # The series replaces the closed form below r = 1e-3; both sides differ by the first term left out, r^4 ~ 1e-12.
     block, state, _ = block_and_state(LensModel.FISHEYE, 1, np.full(2, 1e-3 / 1.48))
     state.points[:, 1] = state.points[:, 0]
-    cameras = state.parts[PART]
+    cameras = cameras_of(state.parts)
     ray = cameras.rotations[0] @ (state.points[:, 0] - cameras.centres[0])
     axis = np.array([0, 0, ray[2]])
     for k, factor in enumerate([1 - 1e-9, 1 + 1e-9]):
@@ -133,7 +136,7 @@ def test_fisheye_derivative_has_no_step_where_the_series_takes_over():
     residual, by_camera, by_point = block.linearise(state.parts, state.points, slice(0, 2))
     inverse_sigma = block.inverse_sigma
     px = residual / inverse_sigma + block.px
-    # The points are 2e-9 x 2 mm apart: 1e-9 px. The derivatives by the point, some 240 px/m, differ by r^4 and the shift.
+    # The points are 2e-9 x 2 mm apart: 1e-9 px. The derivatives by the point, some 240 px/m, differ by r^4 and by that.
     assert np.abs(px[:, 0] - px[:, 1]).max() < 1e-8
     np.testing.assert_allclose(by_point[:, :, 0] / inverse_sigma[0], by_point[:, :, 1] / inverse_sigma[1], atol=1e-6)
     np.testing.assert_allclose(by_camera[:, :, 0] / inverse_sigma[0], by_camera[:, :, 1] / inverse_sigma[1], atol=1e-5)

@@ -13,11 +13,11 @@ from network_calib.camera_block import PART, cameras_of
 from network_calib.camera_parameters import CameraParameters
 from network_calib.gauge import camera_gauge, inner_gauge, into_camera
 from network_calib.spots import SpotViews
-from tests.network_calib.scenes import dense_jacobian, joint_problem, waved
+from tests.network_calib.scenes import block_of, dense_jacobian, joint_problem, waved
 
 N_DRAWS = 80
-# Small enough that the solution is linear in the noise: along the valley of focal length and distance, which curves, the
-# weighted sum over all parameters sees the curvature at 0.2 px already.
+# Small enough that the solution is linear in the noise: along the valley of focal length and distance, which curves,
+# the weighted sum over all parameters sees the curvature at 0.2 px already.
 SIGMA_PX = 0.02
 # A sound covariance fails a two-sided test at this level once in a thousand scenes; this scene and seed are fixed.
 LEVEL = 1e-3
@@ -47,7 +47,7 @@ def ring():
     true_px, _ = (
         cameras_of(truth.parts).apply_to(scene.cameras).img_from_world(views.camera, truth.points.T[views.point])
     )
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     exact = replace(block, px=np.ascontiguousarray(true_px.T), inverse_sigma=np.full(len(block.point), 1 / SIGMA_PX))
     return scene, Problem([exact], (), named_gauge), truth
 
@@ -57,7 +57,7 @@ def draws(ring):
     """Errors of the shared tangent vector (N_DRAWS, n) and of one spot (N_DRAWS, 3) over draws of the noise."""
     scene, problem, truth = ring
     rng = np.random.default_rng(11)
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     shared, spot = [], []
     for _ in range(N_DRAWS):
         noisy = replace(block, px=block.px + SIGMA_PX * rng.standard_normal(block.px.shape))
@@ -165,7 +165,7 @@ def test_what_no_gauge_can_see_does_not_depend_on_it():
 def test_twice_the_noise_is_twice_the_sigma_but_for_priors():
     scene, seen = waved("smart_room", n_frames=150)
     problem, state, _ = joint_problem(scene, seen, has_prior=False)
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     double = replace(problem, point_blocks=[replace(block, inverse_sigma=block.inverse_sigma / 2)])
     ratio = np.diag(covariance(double, state).shared) / np.diag(covariance(problem, state).shared)
     np.testing.assert_allclose(ratio, 4.0, rtol=1e-6)

@@ -19,7 +19,7 @@ from network_calib.gauge import (
     level_to_floor,
     similarity_directions,
 )
-from tests.network_calib.scenes import joint_problem, waved
+from tests.network_calib.scenes import block_of, joint_problem, waved
 
 
 def a_similarity(seed):
@@ -30,7 +30,7 @@ def a_similarity(seed):
 @pytest.mark.parametrize("name", ["smart_room", "wide_fisheye"])
 def test_no_residual_changes_along_the_directions(name):
     problem, state, _ = joint_problem(*waved(name, n_frames=60), has_prior=False)
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     parameters = cameras_of(state.parts)
     directions = similarity_directions(parameters)
     rows = slice(0, len(block.point))

@@ -18,6 +18,7 @@ from network_calib.schur import ReducedFactoriser, factor_3x3, inverse_spd, solv
 from network_calib.spots import SpotViews
 from network_calib.sync import CLOCKS, Clocks, DelayedCameraBlock
 from tests.network_calib.scenes import (
+    block_of,
     camera_block,
     dense_jacobian,
     joint_problem,
@@ -62,7 +63,7 @@ def engine_step(problem, state, damping):
 def two_blocks():
     """Two camera blocks over the same cameras and spots: the second only sees cameras 1 and 2, with delayed clocks."""
     problem, state = random_problem(n_cameras=4, n_points=50, missing=0.4, loss=CauchyLoss(2.0))
-    (first,) = problem.point_blocks
+    first = block_of(problem)
     rng = np.random.default_rng(5)
     rows = np.flatnonzero(np.isin(first.group, [1, 2]))
     inner = first.take(rows)
@@ -72,7 +73,7 @@ def two_blocks():
     parts = {PART: state.parts[PART], CLOCKS: Clocks(np.zeros(3), 0)}
 
     def gauge(at):
-        inner_gauge = problem.gauge(State({PART: at.parts[PART]}, at.points))
+        inner_gauge = problem.gauge_at(State({PART: at.parts[PART]}, at.points))
         constraints = np.pad(inner_gauge.constraints, ((0, 0), (0, 2)))
         return type(inner_gauge)(constraints, np.pad(inner_gauge.null, ((0, 2), (0, 0))))
 
@@ -110,7 +111,7 @@ def test_shared_intrinsics_add_up_over_the_cameras_of_a_group():
         is_intrinsics_fixed=none,
         groups=np.array([0, 1, 0, 0]),
     )
-    (block,) = problem.point_blocks
+    block = block_of(problem)
     grouped = Problem([camera_block(block.group, block.point, block.px.T, columns)], (), problem.gauge)
     at = State(
         {

@@ -40,7 +40,7 @@ def test_unit_scale_is_the_first_cameras_frame(solved):
 
 def test_known_distance_scales_any_pair(solved):
     scene = solved[0]
-    true = np.linalg.norm(scene.cameras.centres_in_world[4] - scene.cameras.centres_in_world[2])
+    true = float(np.linalg.norm(scene.cameras.centres_in_world[4] - scene.cameras.centres_in_world[2]))
     frame, refined = posed(solved, KnownDistance("C2", "C4", true, sigma_m=0.01))
     assert frame.unit == "m"
     assert "C2-C4" in frame.scale_source
