@@ -79,12 +79,12 @@ def calibrate_lrfs(
 def _started(network: NetworkData, data: LrfData, scanner: int, rng: np.random.Generator) -> TiltingScanner:
     """One scanner by registration at each tilt and the general axis through the poses."""
     settings = np.flatnonzero(data.settings.scanner == scanner)
-    samples, local = _plane_samples(network, data, settings)
+    samples, local = plane_samples(network, data, settings)
     _refuse_few(data, settings, local)
     return calibrate_screw(samples, rng=rng).scanner
 
 
-def _plane_samples(network: NetworkData, data: LrfData, settings: IntArray) -> tuple[PlaneSamples, IntArray]:
+def plane_samples(network: NetworkData, data: LrfData, settings: IntArray) -> tuple[PlaneSamples, IntArray]:
     """The sightings at some settings, paired with where the cameras put their spots."""
     sigma_px = network.noise[network.views.camera] * network.views.sigma_px
     positions, spread = spots_from_cameras(network.cameras, network.views, network.points, network.is_inlier, sigma_px)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lrf_stereo.scan_spot import BALL_DIAMETER_M, BEAM_EDGE_RAD, SURFACE_SIGMA, SpotCandidates
+from lrf_stereo.scan_spot import BALL_DIAMETER_M, BEAM_EDGE_RAD, SURFACE_VARIANCE, SpotCandidates
 from lrf_stereo.scanner import ScanSteps
 from network_calib.errors import InputError
 from network_calib.observations import BoolArray, FloatArray, IntArray
@@ -42,8 +42,8 @@ class Crossings:
         bias_bound_m: (R,) zero for a two-sided run; otherwise how far the centre may have been from the plane, always
             on the side it came from.
         direction: (R,) +1 upward through the plane, -1 downward, 0 unknown.
-        pair: (R,) number of the rising and falling pair that the run belongs to, -1 for none. An error of the clock moves
-            the two to opposite sides, and their mean not at all.
+        pair: (R,) number of the rising and falling pair that the run belongs to, -1 for none. An error of the clock
+            moves the two to opposite sides, and their mean not at all.
         score: (R,) mean score of the candidates.
     """
 
@@ -90,7 +90,7 @@ def crossings(
         candidates: of T scans.
         stamp_s: (T,) times of step 0 of the scans, growing.
         steps: of the scanner; a beam's own time within the scan counts.
-        upward: (T,) any number that grows as the spot rises, such as minus the pixel row in a camera; NaN where unknown.
+        upward: (T,) any number that grows as the spot rises, such as minus its row in a camera; NaN where unknown.
         ball_diameter_m: of the spot.
         max_pair_gap_s: longest time from a rising to a falling run.
         max_pair_distance_m: how far apart in the plane they may be.
@@ -180,8 +180,8 @@ class _Run:
             first_s=float(stamp_s[first]) + delay,
             n_scans=last - first + 1,
             is_closed=before < first and after > last,
-            range_m=float(hits.range_m.mean()),
-            bearing_rad=float(hits.bearing_rad.mean()),
+            range_m=float(np.median(hits.range_m)),
+            bearing_rad=float(np.median(hits.bearing_rad)),
             sigma_beams_m=float(np.sqrt((hits.sigma_range_m**2).sum()) / n),
             # The grid of steps stays while the ball passes: its error is shared, and n scans tell little more than two.
             sigma_bearing_rad=float(np.sqrt((hits.sigma_bearing_rad**2).mean() / min(n, 2))),
@@ -190,8 +190,8 @@ class _Run:
         )
 
     def sigma_range_m(self, diameter_m: float) -> float:
-        """Noise of the beams; the surface is not averaged better than one scan at a random height in four shows it."""
-        return float(np.hypot(self.sigma_beams_m, SURFACE_SIGMA * diameter_m / 4))
+        """Noise of the beams and of the surface they meet; the surface is not known better than one height shows it."""
+        return float(np.hypot(self.sigma_beams_m, np.sqrt(SURFACE_VARIANCE) * diameter_m / 2))
 
     def distance_to(self, other: _Run) -> float:
         """Distance in the scan plane, m."""

@@ -14,12 +14,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from lrf_stereo.scanner import TiltingScanner
 from network_calib.observations import FloatArray, IntArray
+from network_calib.result import LRF_PARAMETER_NAMES
 
-SCANNER_TANGENT = (
-    *("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m"),
-    *("axis_turn_1_rad", "axis_turn_2_rad", "axis_shift_1_m", "axis_shift_2_m"),
-    *("tilt_gain", "range_bias_m", "range_scale", "bearing_zero_rad"),
-)
+# The names and order that the result file uses.
+SCANNER_TANGENT = LRF_PARAMETER_NAMES
 N_GEOMETRY, N_SCANNER = 10, 14
 
 

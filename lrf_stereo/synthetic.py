@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from lrf_stereo.noise import LrfNoise
+from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.scanner import ScanSteps, TiltingScanner
 from network_calib.cameras import Cameras, LensModel, poses_from_centres
 from network_calib.errors import InputError
@@ -77,10 +78,11 @@ class SampleNoise:
 
     Attributes:
         sigma_px: of the detected spot, each axis.
-        lrf: of range, bearing and reported tilt; of the bearing only the step's width counts, see `sample`.
+        lrf: of range, bearing and reported tilt. The bearing's error is not Gaussian: it is rounded to a step.
         out_of_plane_m: standard deviation of the spot's height over the scan plane.
         out_of_plane_bias_m: mean of that height, which no residual can show; below zero for a one-sided crossing.
         wrong_pairs: share of the LRF rows that show something else in the scan plane.
+        scale: of all random errors that are drawn (the stated sigmas stay): 0 for exact samples.
     """
 
     sigma_px: float = 0.3
@@ -88,37 +90,24 @@ class SampleNoise:
     out_of_plane_m: float = 4e-3
     out_of_plane_bias_m: float = 0.0
     wrong_pairs: float = 0.0
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class LrfSamples:
-    """What cameras and scanner report; the LRF's rows are M, one for each spot.
+    """What cameras and scanner report, and the truth beside it.
 
     Attributes:
-        observations: detections; frame is the spot's number.
-        point: (M,) spot number of each row.
-        tilt: (M,) tilt setting.
-        range_m: (M,) measured range.
-        bearing_rad: (M,) measured bearing, a whole step.
-        sigma_range_m: (M,) standard deviations, here and below.
-        sigma_bearing_rad: (M,).
-        sigma_out_of_plane_m: (M,).
-        tilt_rad: (T,) reported tilts.
-        sigma_tilt_rad: (T,).
-        is_true: (M,) whether the row shows the spot.
+        observations: detections by all cameras; frame is the spot's number.
+        spots: M sightings by the scanner, one for each spot, in order.
+        settings: reported tilts.
+        is_true: (M,) whether the sighting shows the spot.
         spots_in_world: (M, 3) where the spots truly were, out of the plane by their crossing errors.
     """
 
     observations: Observations
-    point: IntArray
-    tilt: IntArray
-    range_m: FloatArray
-    bearing_rad: FloatArray
-    sigma_range_m: FloatArray
-    sigma_bearing_rad: FloatArray
-    sigma_out_of_plane_m: FloatArray
-    tilt_rad: FloatArray
-    sigma_tilt_rad: FloatArray
+    spots: LrfSpots
+    settings: TiltSettings
     is_true: BoolArray
     spots_in_world: FloatArray
 
@@ -133,7 +122,7 @@ def paper_scene(
     mount_deg: tuple[float, float] = (0.0, 0.0),
     n_room_cameras: int = 0,
 ) -> LrfScene:
-    """The paper's set-up, its numbers as PAPER_REVIEW states them.
+    """The paper's set-up: its tilts, image size and sensors; what it does not tell is chosen here and in the constants.
 
     Args:
         rng: draws the spots, and the room cameras' lenses.
@@ -202,38 +191,37 @@ def spots_on_plane(
 
 
 def sample(scene: LrfScene, *, rng: np.random.Generator, noise: SampleNoise | None = None) -> LrfSamples:
-    """Report the spots: pixels in every camera that sees them, a range and a bearing of one scan step for each.
-
-    The bearing is that of the nearest step, so its error is uniform over a step; its sigma is step / sqrt(12).
-    """
+    """Report the spots: pixels in every camera that sees them, and a range and a bearing of a whole step for each."""
     noise = SampleNoise() if noise is None else noise
-    n = len(scene.spots_in_world)
+    n, n_tilts, scale = len(scene.spots_in_world), len(scene.tilts_rad), noise.scale
     tilts = scene.tilts_rad[scene.spot_tilt]
     normals = scene.scanner.world_from_lrf_at(tilts).rotation.as_matrix()[:, :, 2]
-    height = noise.out_of_plane_bias_m + noise.out_of_plane_m * rng.standard_normal(n)
-    spots = scene.spots_in_world + height[:, None] * normals
-    observations = _detect(scene.cameras, spots, noise.sigma_px, rng)
-    range_m, bearing, _ = scene.scanner.measure(spots, tilts)
+    height = noise.out_of_plane_bias_m + scale * noise.out_of_plane_m * rng.standard_normal(n)
+    points = scene.spots_in_world + height[:, None] * normals
+    observations = _detect(scene.cameras, points, noise, rng)
+    range_m, bearing, _ = scene.scanner.measure(points, tilts)
     is_true = np.ones(n, dtype=bool)
     wrong = rng.choice(n, round(noise.wrong_pairs * n), replace=False)
     is_true[wrong] = False
     range_m[wrong], bearing[wrong] = _elsewhere(range_m[wrong], bearing[wrong], rng)
     steps = ScanSteps()
     sigma_range = noise.lrf.range_m(range_m)
-    return LrfSamples(
-        observations=observations,
-        point=np.arange(n),
-        tilt=scene.spot_tilt,
-        range_m=range_m + sigma_range * rng.standard_normal(n),
-        bearing_rad=steps.bearing_rad(np.round(steps.step(bearing))),
+    spots = LrfSpots(
+        frame=np.arange(n),
+        setting=scene.spot_tilt,
+        range_m=range_m + scale * sigma_range * rng.standard_normal(n),
+        bearing_rad=bearing + scale * (steps.bearing_rad(np.round(steps.step(bearing))) - bearing),
+        out_of_plane_m=np.zeros(n),
         sigma_range_m=sigma_range,
-        sigma_bearing_rad=np.full(n, steps.step_rad / np.sqrt(12)),
+        sigma_bearing_rad=np.full(n, noise.lrf.bearing_rad),
         sigma_out_of_plane_m=np.full(n, noise.out_of_plane_m),
-        tilt_rad=scene.tilts_rad + noise.lrf.tilt_rad * rng.standard_normal(len(scene.tilts_rad)),
-        sigma_tilt_rad=np.full(len(scene.tilts_rad), noise.lrf.tilt_rad),
-        is_true=is_true,
-        spots_in_world=spots,
     )
+    settings = TiltSettings(
+        scanner=np.zeros(n_tilts, dtype=np.int64),
+        angle_rad=scene.tilts_rad + scale * noise.lrf.tilt_rad * rng.standard_normal(n_tilts),
+        covariance_rad2=noise.lrf.tilt_rad**2 * np.eye(n_tilts),
+    )
+    return LrfSamples(observations, spots, settings, is_true, points)
 
 
 def _cameras(world_from_room: RigidTransform, n_room_cameras: int, rng: np.random.Generator) -> Cameras:
@@ -257,15 +245,15 @@ def _cameras(world_from_room: RigidTransform, n_room_cameras: int, rng: np.rando
     )
 
 
-def _detect(cameras: Cameras, spots: FloatArray, sigma_px: float, rng: np.random.Generator) -> Observations:
+def _detect(cameras: Cameras, points: FloatArray, noise: SampleNoise, rng: np.random.Generator) -> Observations:
     """Pixels of spots (M, 3) in every camera whose image holds them."""
-    camera = np.repeat(np.arange(len(cameras)), len(spots))
-    frame = np.tile(np.arange(len(spots)), len(cameras))
-    px, is_valid = cameras.img_from_world(camera, spots[frame])
+    camera = np.repeat(np.arange(len(cameras)), len(points))
+    frame = np.tile(np.arange(len(points)), len(cameras))
+    px, is_valid = cameras.img_from_world(camera, points[frame])
     is_seen = is_valid & cameras.is_in_image(camera, px)
     camera, frame, px = camera[is_seen], frame[is_seen], px[is_seen]
-    noisy = px + sigma_px * rng.standard_normal(px.shape)
-    sigma = np.full(len(px), sigma_px) if sigma_px > 0 else None
+    noisy = px + noise.scale * noise.sigma_px * rng.standard_normal(px.shape)
+    sigma = np.full(len(px), noise.sigma_px)
     return Observations.from_columns(cameras.names, camera=camera, frame=frame, px=noisy, sigma_px=sigma)
 
 

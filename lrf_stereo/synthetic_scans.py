@@ -124,7 +124,7 @@ class ScannedRoom:
 
         Bodies stand still within a scan, where they are when the mirror points at the first of them.
         """
-        stamps, scans = self.steps.turn_s * np.arange(n_scans), []
+        stamps, scans = self.steps.turn_s * np.arange(n_scans, dtype=np.float64), []
         for stamp in stamps:
             first = bodies_at(float(stamp))[:1]
             delay = 0.0

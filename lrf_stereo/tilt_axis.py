@@ -88,7 +88,7 @@ def screw_axis(cam_from_lrf: RigidTransform, tilt_rad: FloatArray) -> TiltingSca
     turn = Rotation.from_rotvec((tilt_rad - reference)[:, None] * direction)
     # Each pose, turned back to the reference, is one vote for the rotation there.
     rotation = (turn.inv() * cam_from_lrf.rotation).mean()
-    origin, point = _origin_and_point(cam_from_lrf.translation, turn.as_matrix(), direction)
+    origin, point = _origin_and_point(cam_from_lrf.translation, turn.as_matrix())
     return TiltingScanner(RigidTransform.from_components(origin, rotation), direction, point, reference)
 
 
@@ -101,14 +101,14 @@ def _axis_direction(rotation: Rotation, tilt_rad: FloatArray) -> FloatArray:
     return total / np.linalg.norm(total)
 
 
-def _origin_and_point(origins: FloatArray, turns: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least squares of t_i = (I - R_i) q + R_i t for the origin t at the reference and the axis point q, q . n = 0."""
+def _origin_and_point(origins: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least squares of t_i = (I - R_i) q + R_i t for the origin t at the reference and the axis point q.
+
+    Along the axis q is free; the shortest solution is the foot point.
+    """
     n = len(origins)
-    design = np.zeros((3 * n + 1, 6))
-    design[:-1, :3] = turns.reshape(3 * n, 3)
-    design[:-1, 3:] = (np.eye(3) - turns).reshape(3 * n, 3)
-    design[-1, 3:] = direction
-    solution = np.asarray(np.linalg.lstsq(design, np.append(origins.ravel(), 0.0), rcond=None)[0], dtype=np.float64)
+    design = np.concatenate([turns.reshape(3 * n, 3), (np.eye(3) - turns).reshape(3 * n, 3)], axis=1)
+    solution = np.asarray(np.linalg.lstsq(design, origins.ravel(), rcond=1e-10)[0], dtype=np.float64)
     return solution[:3], solution[3:]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from network_calib.blocks import PointBlock, Problem, State
-from network_calib.chunks import BlockRows, Chunk, cut
+from network_calib.chunks import BlockRows, Chunk, GroupRows, cut
 from network_calib.observations import FloatArray
 from network_calib.robust_loss import Loss
 from network_calib.schur import EliminatedChunk, EliminatedSystem, ReducedFactoriser, factor_3x3, solve_lower
@@ -183,13 +183,19 @@ def _coupling(chunk: Chunk, linear: _LinearChunk) -> FloatArray:
         padded_shared = np.pad(rows.by_shared, ((0, 0), (0, 0), (0, 1)))
         padded_point = np.pad(rows.by_point, ((0, 0), (0, 0), (0, 1)))
         for group in part.groups:
-            at = group.rows if group.row_of_point is None else group.row_of_point
-            by_shared, by_point = padded_shared[group.used][:, :, at], padded_point[:, :, at]
+            by_shared, by_point = _at(padded_shared, group), _at(padded_point, group)
             product = by_shared[:, None, 0, :] * by_point[None, :, 0, :]
             for m in range(1, by_shared.shape[1]):
                 product += by_shared[:, None, m, :] * by_point[None, :, m, :]
-            coupling[group.targets] += product
+            coupling[group.targets] += product[group.used]
     return coupling
+
+
+def _at(jacobian: FloatArray, group: GroupRows) -> FloatArray:
+    """A group's part of a block's Jacobian (D, m, n + 1), over the chunk's points and contiguous along them."""
+    if group.row_of_point is None:
+        return jacobian[:, :, group.rows]
+    return np.take(jacobian, group.row_of_point, axis=2)
 
 
 def _reweighted(loss: Loss, residual: FloatArray, by_shared: FloatArray, by_point: FloatArray) -> _Rows:

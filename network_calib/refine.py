@@ -103,24 +103,30 @@ def refine(
             setups, cameras, views, points, is_inlier, noise, CauchyLoss(ROBUST_SCALE), ROUGH
         )
         limit_px = np.minimum(limit_px, np.maximum(2 * rejection * noise[views.camera] * views.sigma_px, 0.5))
-        points, is_inlier = locate(cameras, views, limit_px)
+        agrees = np.linalg.norm(reprojection_error(cameras, views, points), axis=1) <= limit_px
+        points, is_inlier = _relocated(cameras, views, points, is_inlier, agrees, limit_px)
         previous, noise = noise, _robust_noise(cameras, views, points, is_inlier)
         if np.abs(np.log(noise / previous)).max() < 0.1:
             break
-    return _exact_rounds(setups, cameras, views, noise, rejection)
+    return _exact_rounds(setups, cameras, views, points, is_inlier, noise, rejection)
 
 
 def _exact_rounds(
-    setups: Sequence[CameraSetup], cameras: Cameras, views: SpotViews, noise: FloatArray, rejection: float
+    setups: Sequence[CameraSetup],
+    cameras: Cameras,
+    views: SpotViews,
+    points: FloatArray,
+    is_inlier: BoolArray,
+    noise: FloatArray,
+    rejection: float,
 ) -> Refined:
     """Plain least squares over the inliers, re-judged until the mask and the noise stand still; then to the optimum."""
-    points, is_inlier = locate(cameras, views, rejection * noise[views.camera] * views.sigma_px)
+    points, is_inlier = _judged(cameras, views, points, is_inlier, noise, rejection)
     for _ in range(EXACT_ROUNDS):
         cameras, points, _, _ = _solve(setups, cameras, views, points, is_inlier, noise, SquaredLoss(), MEDIUM)
         previous_noise, noise = noise, estimate_noise(cameras, views, points, is_inlier, noise)
         previous_inlier = is_inlier
-        sigma_px = noise[views.camera] * views.sigma_px
-        points, is_inlier = _judge(cameras, views, points, is_inlier, sigma_px, rejection)
+        points, is_inlier = _judged(cameras, views, points, is_inlier, noise, rejection)
         n_changed = int((previous_inlier != is_inlier).sum())
         if n_changed <= SETTLED_SHARE * len(is_inlier) and np.abs(np.log(noise / previous_noise)).max() < SETTLED_NOISE:
             break
@@ -129,28 +135,39 @@ def _exact_rounds(
     return Refined(cameras, points, is_inlier, noise_now, problem, solution.state, solution.has_converged)
 
 
-def _judge(
-    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, sigma_px: FloatArray, rejection: float
+def _judged(
+    cameras: Cameras, views: SpotViews, points: FloatArray, is_inlier: BoolArray, noise: FloatArray, rejection: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Inliers by their normalised residual; spots that lose a view, or were not located, are triangulated anew.
+    """Spots and inliers by the normalised residual of every observation, in or out."""
+    sigma_px = noise[views.camera] * views.sigma_px
+    agrees = normalised_error(cameras, views, points, is_inlier, sigma_px) <= rejection
+    return _relocated(cameras, views, points, is_inlier, agrees, rejection * sigma_px)
+
+
+def _relocated(
+    cameras: Cameras,
+    views: SpotViews,
+    points: FloatArray,
+    is_inlier: BoolArray,
+    agrees: BoolArray,
+    limit_px: FloatArray,
+) -> tuple[FloatArray, BoolArray]:
+    """Triangulate anew what a verdict unsettles: spots that lose a view, and those not located before.
 
     Args:
         cameras: as solved.
         views: K observations.
         points: (F, 3) as solved.
         is_inlier: (K,) what the points rest on.
-        sigma_px: (K,) noise of each observation.
-        rejection: largest normalised residual.
+        agrees: (K,) the verdict.
+        limit_px: (K,) largest error of a view of the spots that are triangulated anew.
     """
-    agrees = normalised_error(cameras, views, points, is_inlier, sigma_px) <= rejection
     is_doubtful = ~located(points)
     is_doubtful[views.point[is_inlier & ~agrees]] = True
     if is_doubtful.any():
         rows = is_doubtful[views.point]
-        points = points.copy()
-        points[is_doubtful], agrees[rows] = locate(
-            cameras, views.select_points(is_doubtful), rejection * sigma_px[rows]
-        )
+        points, agrees = points.copy(), agrees.copy()
+        points[is_doubtful], agrees[rows] = locate(cameras, views.select_points(is_doubtful), limit_px[rows])
     return drop_lonely(views, points, agrees)
 
 

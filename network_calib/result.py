@@ -177,15 +177,79 @@ class Provenance:
     options_json: str
 
 
+# Order of the parameters in the covariance of an LRF: pose at the reference tilt (rotation on the left about its origin,
+# then the origin), the tilt axis (two turns and two shifts across it), what the instrument may be wrong by.
+LRF_PARAMETER_NAMES = (
+    *("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "origin_x", "origin_y", "origin_z"),
+    *("axis_turn_1_rad", "axis_turn_2_rad", "axis_shift_1", "axis_shift_2"),
+    *("tilt_gain", "range_bias_m", "range_scale", "bearing_zero_rad"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedLrf:
+    """One tilting laser range finder: where it is at any tilt, and how certain that is.
+
+    Attributes:
+        name: LRF name.
+        world_from_lrf: pose at the reference tilt.
+        reference_tilt_rad: the tilt of that pose.
+        axis_direction_in_world: (3,) unit vector of the tilt axis; a growing tilt turns right-handed about it.
+        axis_point_in_world: (3,) its point nearest to the world's origin.
+        instrument: (4,) tilt gain, range bias (m), range scale, bearing zero (rad).
+        covariance: (14, 14) in the order of LRF_PARAMETER_NAMES; rows of what was held are zero.
+        dx_m: the paper's offset of the mirror from the axis, forward.
+        dz_m: the same, up.
+        mount_roll_rad: how the LRF sits askew on the axis.
+        mount_yaw_rad: see `mount_roll_rad`.
+        paper_sigma: (4,) standard deviations of dx, dz, roll, yaw.
+        tilt_rad: (T,) solved angles of its tilt settings.
+        tilt_sigma_rad: (T,) their standard deviations; zero for the reference and for trusted angles.
+        n_sightings: spots seen in its plane that the cameras located too.
+        n_inliers: of them, used.
+        range_rms_m: of the inliers' residuals.
+        bearing_rms_rad: the same.
+        out_of_plane_rms_m: the same.
+        held: names of the parameters that were held, not estimated.
+    """
+
+    name: str
+    world_from_lrf: RigidTransform
+    reference_tilt_rad: float
+    axis_direction_in_world: FloatArray
+    axis_point_in_world: FloatArray
+    instrument: FloatArray
+    covariance: FloatArray
+    dx_m: float
+    dz_m: float
+    mount_roll_rad: float
+    mount_yaw_rad: float
+    paper_sigma: FloatArray
+    tilt_rad: FloatArray
+    tilt_sigma_rad: FloatArray
+    n_sightings: int
+    n_inliers: int
+    range_rms_m: float
+    bearing_rms_rad: float
+    out_of_plane_rms_m: float
+    held: tuple[str, ...]
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(14,) standard deviations in the order of LRF_PARAMETER_NAMES."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A calibrated camera network."""
+    """A calibrated camera network, with the laser range finders that were calibrated with it."""
 
     cameras: tuple[CalibratedCamera, ...]
     world: WorldFrame
     quality: NetworkQuality
     warnings: tuple[Doubt, ...]
     provenance: Provenance
+    lrfs: tuple[CalibratedLrf, ...] = ()
 
     def as_cameras(self) -> Cameras:
         """The cameras as one batch, for projection."""

@@ -55,7 +55,7 @@ def test_located_spots_are_where_they_were():
     scene, views, _ = at_the_truth(n_frames=400)
     points, is_inlier = locate(scene.cameras, views, np.full(len(views.point), TOLERANCE_PX))
     error_m = np.linalg.norm(points - scene.trajectory[views.frames], axis=1)
-    # 0.2 px at 450 px and 3 m is 1.3 mm across the ray; the stereo pair alone (0.35 m base) errs ten times that along it.
+    # 0.2 px at 450 px and 3 m is 1.3 mm across the ray; along it the stereo pair alone is ten times worse.
     assert np.nanmedian(error_m) < 0.003
     # Of 2D Gaussian errors exp(-16 / 2) = 0.03 % lie beyond four sigma, and a spot takes its worst view along.
     assert is_inlier.mean() > 0.995
