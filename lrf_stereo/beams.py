@@ -184,7 +184,9 @@ def flat_beams(
     else:
         tilts, inverse = np.unique(tilt, return_inverse=True)
         tilt_of = np.broadcast_to(inverse.reshape(tilt.shape), shape).ravel()
-    rho, theta = np.broadcast_to(rho, shape).ravel(), np.broadcast_to(theta, shape).ravel()
+    if not rho.shape == theta.shape == shape:
+        rho, theta = np.broadcast_to(rho, shape), np.broadcast_to(theta, shape)
+    rho, theta = rho.ravel(), theta.ravel()
     return Beams.of(frame, rho, theta, tilts, tilt_of), shape
 
 

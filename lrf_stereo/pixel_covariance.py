@@ -5,6 +5,7 @@ Only the valid pixels of a tile are computed: K of them in a row, camera by came
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ class ValidPixels:
         group: the tile's cameras.
         camera: (K,) row of the tile.
         point: (K,) column of the tile.
-        of_camera: for each camera its range of pixels.
+        of_camera: each camera that has any, and its range of pixels.
         u: (K,) x/z in the camera frame.
         v: (K,) y/z.
         r2: (K,) u^2 + v^2.
@@ -37,7 +38,7 @@ class ValidPixels:
     group: LensGroup
     camera: IntArray
     point: IntArray
-    of_camera: tuple[slice, ...]
+    of_camera: tuple[tuple[int, slice], ...]
     u: FloatArray
     v: FloatArray
     r2: FloatArray
@@ -51,15 +52,16 @@ class ValidPixels:
     @classmethod
     def of(cls, tile: Tile) -> ValidPixels:
         """Pick the valid pixels."""
-        group, counts = tile.group, np.count_nonzero(tile.is_valid, axis=1)
-        ends = np.cumsum(counts).tolist()
+        group, n_points = tile.group, tile.u.shape[1]
         place = np.flatnonzero(tile.is_valid)
-        camera = np.repeat(np.arange(len(counts)), counts)
+        camera = place // n_points
+        cuts = np.searchsorted(camera, np.arange(len(tile.u) + 1)).tolist()
+        ranges = enumerate(itertools.pairwise(cuts))
         return cls(
             group=group,
             camera=camera,
-            point=place - camera * tile.u.shape[1],
-            of_camera=tuple(slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)),
+            point=place - camera * n_points,
+            of_camera=tuple((row, slice(begin, end)) for row, (begin, end) in ranges if end > begin),
             u=tile.u.ravel()[place],
             v=tile.v.ravel()[place],
             r2=tile.r2.ravel()[place],
@@ -98,8 +100,8 @@ class ValidPixels:
                 # A point moves its pixel as the camera's centre does, the other way.
                 turned = -by_scanner[:, :, self.point]
                 np.einsum("kin,ain->akn", turned, slope[:, :3], out=slope[:, -len(by_scanner) :])
-            for matrix, pixels in zip(self.group.covariance, self.of_camera, strict=True):
-                np.matmul(matrix, slope[:, :, pixels], out=spread[:, :, pixels])
+            for camera, pixels in self.of_camera:
+                np.matmul(self.group.covariance[camera], slope[:, :, pixels], out=spread[:, :, pixels])
         of_point = np.take(points_m2.reshape(9, -1), self.point, axis=1).reshape(3, 3, n)
         for a in range(2):
             spread[a, :3] += (of_point * slope[a, :3]).sum(axis=1)
@@ -118,8 +120,8 @@ class ValidPixels:
 
     def _fill_by_centre(self, out: FloatArray, in_cam: FloatArray) -> None:
         """Fill (2, 3, K): derivative by the camera's centre, minus that by the point in world."""
-        for matrix, pixels in zip(self.group.minus_turn, self.of_camera, strict=True):
-            np.matmul(matrix, in_cam[:, :, pixels], out=out[:, :, pixels])
+        for camera, pixels in self.of_camera:
+            np.matmul(self.group.minus_turn[camera], in_cam[:, :, pixels], out=out[:, :, pixels])
         out *= self.inverse_z
 
     def _fill_by_camera(self, slope: FloatArray, in_cam: FloatArray) -> None:

@@ -208,7 +208,7 @@ class _Canvas:
         whole = (len(self.depth_m), *shape)
         planes = self.covariance_px2
         return LrfProjection(
-            px=np.moveaxis(self.px.reshape(2, *whole), 0, -1),
+            px=self.px.reshape(2, *whole).transpose(*range(1, len(whole) + 1), 0),
             is_valid=self.is_valid.reshape(whole),
             depth_m=self.depth_m.reshape(whole),
             covariance_px2=None if planes is None else _as_matrices(planes.reshape(3, *whole)),
@@ -218,7 +218,9 @@ class _Canvas:
 def _as_matrices(planes: FloatArray) -> FloatArray:
     """(..., 2, 2) read-only view of the planes xx, xy, yy (3, ...): entry (a, b) is plane a + b, without a copy."""
     strides = (*planes.strides[1:], planes.strides[0], planes.strides[0])
-    return np.lib.stride_tricks.as_strided(planes, (*planes.shape[1:], 2, 2), strides, writeable=False)
+    out = np.ndarray((*planes.shape[1:], 2, 2), np.float64, planes, strides=strides)
+    out.flags.writeable = False
+    return out
 
 
 def _lens_groups(cameras: Cameras, given: CalibrationCovariance) -> Iterator[tuple[LensGroup, IntArray]]:

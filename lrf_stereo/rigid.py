@@ -102,34 +102,20 @@ def gauss_newton(
     rotation: FloatArray, shift: FloatArray, source: FloatArray, target: FloatArray, noise: PointNoise
 ) -> tuple[FloatArray, FloatArray] | None:
     """Generalised least squares; the covariance follows the rotation. None where the steps do not die out."""
-    size = float(np.abs(source - source.mean(axis=0)).max())
-    for _ in range(MAX_STEPS):
-        information = noise.information(rotation)
-        rotation, shift, step = weighted_step(rotation, shift, source, target, information)
-        if np.linalg.norm(step[:3]) * size + np.linalg.norm(step[3:]) < 1e-11 * size:
-            return rotation, shift
-    return None
-
-
-def weighted_step(
-    rotation: FloatArray, shift: FloatArray, source: FloatArray, target: FloatArray, information: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One Gauss-Newton step for motions (..., 3, 3), (..., 3) of sets (..., N, 3) with information (..., N, 3, 3).
-
-    Returns:
-        The moved rotations and translations, and the steps (..., 6): turn on the left, then shift of the middle.
-    """
     # Turning about the middle of the points keeps rotation and translation nearly independent.
-    middle = source.mean(axis=-2)
-    turned = (source - middle[..., None, :]) @ np.swapaxes(rotation, -1, -2)
-    place = np.einsum("...ij,...j->...i", rotation, middle) + shift
-    identity = np.broadcast_to(np.eye(3), (*turned.shape, 3))
-    jacobian = np.concatenate([-_cross_matrices(turned), identity], axis=-1)
-    weighted = np.swapaxes(jacobian, -1, -2) @ information
-    gradient = np.einsum("...kij,...kj->...i", weighted, target - turned - place[..., None, :])
-    step = np.linalg.solve((weighted @ jacobian).sum(axis=-3), gradient[..., None])[..., 0]
-    moved = Rotation.from_rotvec(step[..., :3]).as_matrix() @ rotation
-    return moved, place + step[..., 3:] - np.einsum("...ij,...j->...i", moved, middle), step
+    middle = source.mean(axis=0)
+    arm, place = source - middle, rotation @ middle + shift
+    size = float(np.abs(arm).max())
+    for _ in range(MAX_STEPS):
+        turned = arm @ rotation.T
+        jacobian = np.concatenate([-_cross_matrices(turned), np.broadcast_to(np.eye(3), (len(arm), 3, 3))], axis=2)
+        weighted = np.swapaxes(jacobian, 1, 2) @ noise.information(rotation)
+        hessian = (weighted @ jacobian).sum(axis=0)
+        step = np.linalg.solve(hessian, np.einsum("kij,kj->i", weighted, target - turned - place))
+        rotation, place = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation, place + step[3:]
+        if np.linalg.norm(step[:3]) * size + np.linalg.norm(step[3:]) < 1e-11 * size:
+            return rotation, place - rotation @ middle
+    return None
 
 
 def _refuse_line(points: FloatArray) -> None:
@@ -149,8 +135,8 @@ def width_of(points: FloatArray) -> float:
 
 
 def _cross_matrices(vectors: FloatArray) -> FloatArray:
-    """(..., 3, 3) matrices [v]_x with [v]_x w = v x w."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
+    """(N, 3, 3) matrices [v]_x with [v]_x w = v x w."""
+    x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
 

@@ -9,14 +9,12 @@ from math import comb
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from lrf_stereo.rigid import LINE_RATIO, PointNoise, arun, fit_rigid, gauss_newton, weighted_step, width_of
+from lrf_stereo.rigid import LINE_RATIO, PointNoise, arun, fit_rigid, gauss_newton, width_of
 from network_calib.errors import ConvergenceError, DegenerateError, InputError
 from network_calib.observations import BoolArray, FloatArray, IntArray
 
 N_POLISHED = 8
 MAX_ROUNDS = 10
-N_STEPS = 3
-MIN_AREA_M2 = 1e-6
 MAX_ELEMENTS = 4_000_000
 
 
@@ -66,9 +64,9 @@ def fit_rigid_robust(
         raise InputError("a robust rigid fit needs a threshold in metres or the noise of the points, and not both")
     if len(source) < 3:
         raise DegenerateError(f"a rigid motion needs 3 pairs of points or more, got {len(source)}")
-    pairs = _Pairs(source, target, _information(len(source), noise), threshold_m or threshold_sigma, noise is None)
+    pairs = _Pairs(source, target, _information(len(source), noise), threshold_m or threshold_sigma)
     triples = _triples(len(source), max_trials, rng)
-    rotations, shifts = _hypotheses(pairs, triples)
+    rotations, shifts = arun(source[triples], target[triples], np.ones(3))
     best = np.argsort(pairs.costs(rotations, shifts), kind="stable")[:N_POLISHED]
     polished = [_polish(rotations[k], shifts[k], pairs) for k in best]
     rotations, shifts = np.stack([motion[0] for motion in polished]), np.stack([motion[1] for motion in polished])
@@ -92,7 +90,6 @@ class _Pairs:
     target: FloatArray
     information: FloatArray
     limit: float
-    is_plain: bool
 
     def distances(self, rotations: FloatArray, shifts: FloatArray) -> FloatArray:
         """(B, N) distances under B motions: metres, or standard deviations."""
@@ -112,27 +109,8 @@ class _Pairs:
         return self.distances(rotation[None], shift[None])[0] <= self.limit
 
 
-def _hypotheses(pairs: _Pairs, triples: IntArray) -> tuple[FloatArray, FloatArray]:
-    """(B, 3, 3) rotations and (B, 3) translations of B triples, each the best in the metric of the pairs.
-
-    Where the metric is not the plain one, Arun's answer for three noisy points is far off; three Gauss-Newton steps
-    bring it near enough. A triple on a line keeps Arun's answer, and its cost drops it.
-    """
-    source, target = pairs.source[triples], pairs.target[triples]
-    rotations, shifts = arun(source, target, np.ones(3))
-    if pairs.is_plain:
-        return rotations, shifts
-    information = pairs.information[triples]
-    is_wide = np.linalg.norm(np.cross(source[:, 1] - source[:, 0], source[:, 2] - source[:, 0]), axis=1) > MIN_AREA_M2
-    for _ in range(N_STEPS):
-        rotations[is_wide], shifts[is_wide], _ = weighted_step(
-            rotations[is_wide], shifts[is_wide], source[is_wide], target[is_wide], information[is_wide]
-        )
-    return rotations, shifts
-
-
 def _polish(rotation: FloatArray, shift: FloatArray, pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
-    """Refit to the inliers until they settle, with a limit that shrinks: three noisy points extrapolate badly."""
+    """Refit to the inliers until they settle, with a limit that shrinks, because three noisy points extrapolate badly."""
     before = np.zeros(len(pairs.source), dtype=bool)
     noise = PointNoise(np.asarray(np.linalg.inv(pairs.information), dtype=np.float64))
     for widening in (3.0, 2.0, 1.5, *np.ones(MAX_ROUNDS)):

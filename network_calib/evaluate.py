@@ -43,7 +43,7 @@ def evaluate(calibration: Calibration, observations: Observations) -> Evaluation
         InputError: an observed camera is not in the calibration, or no frame has two views.
     """
     names = tuple(camera.name for camera in calibration.cameras)
-    views = SpotViews.of(_with_cameras(observations, names))
+    views = SpotViews.of(with_cameras(observations, names))
     if not views.n_points:
         raise InputError("no frame was seen by two calibrated cameras: nothing to evaluate")
     cameras = calibration.as_cameras()
@@ -62,7 +62,7 @@ def evaluate(calibration: Calibration, observations: Observations) -> Evaluation
     )
 
 
-def _with_cameras(observations: Observations, names: tuple[str, ...]) -> Observations:
+def with_cameras(observations: Observations, names: tuple[str, ...]) -> Observations:
     """The observations with camera indices that count in `names`."""
     unknown = [name for name in observations.camera_names if name not in names]
     if unknown:

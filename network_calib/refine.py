@@ -152,7 +152,7 @@ def _relocated(
     agrees: BoolArray,
     limit_px: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
-    """Triangulate anew what a verdict unsettles: spots that lose a view, and those not located before.
+    """Triangulate anew what a verdict unsettles: spots that lose a view, rest on a minority, or were not located.
 
     Args:
         cameras: as solved.
@@ -162,7 +162,9 @@ def _relocated(
         agrees: (K,) the verdict.
         limit_px: (K,) largest error of a view of the spots that are triangulated anew.
     """
-    is_doubtful = ~located(points)
+    n_agreeing = np.bincount(views.point[agrees], minlength=views.n_points)
+    # Two false views that met by chance under a poor start would else keep two honest ones out for good.
+    is_doubtful = ~located(points) | (2 * n_agreeing <= np.bincount(views.point, minlength=views.n_points))
     is_doubtful[views.point[is_inlier & ~agrees]] = True
     if is_doubtful.any():
         rows = is_doubtful[views.point]

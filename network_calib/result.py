@@ -177,8 +177,8 @@ class Provenance:
     options_json: str
 
 
-# Order of the parameters in the covariance of an LRF: pose at the reference tilt (rotation on the left about its origin,
-# then the origin), the tilt axis (two turns and two shifts across it), what the instrument may be wrong by.
+# Order of the parameters in the covariance of an LRF: pose at the reference tilt (rotation about its origin, from
+# the left, and origin), the tilt axis (two turns and two shifts across it), what the instrument may be wrong by.
 LRF_PARAMETER_NAMES = (
     *("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "origin_x", "origin_y", "origin_z"),
     *("axis_turn_1_rad", "axis_turn_2_rad", "axis_shift_1", "axis_shift_2"),

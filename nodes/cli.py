@@ -169,6 +169,22 @@ def demo(
         sys.exit(EXIT_UNEXPECTED_RESULT)
 
 
+@app.command()
+def paper(
+    method: Annotated[str, typer.Option("--method", metavar="paper|screw|joint|all", help="What to compare.")] = "all",
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Simulated sessions for each number of spots.")] = 20,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the table and the pictures.")] = Path("paper-out"),
+    seed: Seed = 0,
+) -> None:
+    """Regenerate Table I and figures 7 and 8 of the LRF paper from a simulation."""
+    from rich.console import Console
+
+    from nodes.paper_report import chosen_methods, run_report
+
+    methods = chosen_methods(method)
+    run_report(methods, out, n_runs=runs, seed=seed, console=Console(), progress_console=_stderr())
+
+
 def _read(source: Path, *, tolerance_ns: int | None) -> Recording:
     from network_calib.formats.source import read_source
 
