@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from lrf_stereo.lrf_result import calibrated_lrfs
 from lrf_stereo.refine import LrfData, NetworkData
 from lrf_stereo.session import LrfSession
 from network_calib.assess import Assessed, Optimum, assess
-from network_calib.calibrate import calibration_of, canonical_json, find_optimum, program_version
+from network_calib.calibrate import InputId, calibration_of, find_optimum, now_utc, program_version, provenance_of
 from network_calib.errors import DegenerateError, InputError
 from network_calib.evaluate import with_cameras
 from network_calib.observations import FloatArray, Observations
@@ -32,14 +31,6 @@ from network_calib.spots import SpotViews, locate, located
 # Ranges to spots that stand closer together than this say little of the scale.
 MIN_DISTANCE_M = 0.3
 MIN_DISTANCES = 10
-
-
-@dataclass(frozen=True, slots=True)
-class InputId:
-    """What a result was made from: a name for a person, and a digest."""
-
-    name: str = ""
-    sha256: str = ""
 
 
 def calibrate_with_lrfs(
@@ -83,18 +74,8 @@ def calibrate_with_lrfs(
         rng=np.random.default_rng(seed), instrument=lrfs.instrument, rejection=options.rejection,
     )  # fmt: skip
     report("done", 1.0)
-    calibration = calibration_of(
-        _moved(assessed, solved, _world(assessed.world, anchor, lrfs, solved)),
-        Provenance(
-            program_version=program_version(),
-            created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
-            input_name=source.name,
-            input_sha256=source.sha256,
-            seed=seed,
-            start_method=found.network.start.method,
-            options_json=canonical_json(options, anchor),
-        ),
-    )
+    moved = _moved(assessed, solved, _world(assessed.world, anchor, lrfs, solved))
+    calibration = calibration_of(moved, provenance_of(found, source, anchor=anchor, options=options, seed=seed))
     return replace(
         calibration,
         lrfs=calibrated_lrfs(lrfs, network, solved),
@@ -260,7 +241,7 @@ def _extended(provenance: Provenance, source: InputId) -> Provenance:
     return replace(
         provenance,
         program_version=program_version(),
-        created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        created_utc=now_utc(),
         input_name=f"{provenance.input_name}; LRFs: {source.name}",
         input_sha256=source.sha256,
     )

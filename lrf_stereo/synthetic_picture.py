@@ -80,4 +80,4 @@ def _shade(points: FloatArray, room: BoxRoom, solids: Sequence[tuple[FloatArray,
     # A wall's own coordinate is constant: only lines across it count.
     off_line[np.abs(normal) > 0.5] = np.inf
     is_line = (off_line < LINE_M / 2).any(axis=1)
-    return np.where(is_wall, shade * np.where(is_line, 0.55, 0.75), shade)
+    return np.where(is_wall, shade * np.where(is_line, 0.55, 0.75), 0.85 * shade)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 
@@ -18,6 +18,14 @@ from network_calib.refusals import refuse_bad_input, refuse_unknown_anchor
 from network_calib.result import Calibration, Provenance
 from network_calib.room_setup import Anchor, CameraSetup, Options, UnitScale
 from network_calib.spots import SpotViews
+
+
+@dataclass(frozen=True, slots=True)
+class InputId:
+    """What a result was made from: a name for a person, and a digest."""
+
+    name: str = ""
+    sha256: str = ""
 
 
 def calibrate(
@@ -52,18 +60,8 @@ def calibrate(
     found = find_optimum(observations, setups, anchor=anchor, options=options, seed=seed, progress=report)
     assessed = assess(found, anchor=anchor, options=options, seed=seed, progress=report)
     report("done", 1.0)
-    return calibration_of(
-        assessed,
-        Provenance(
-            program_version=program_version(),
-            created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
-            input_name=input_name,
-            input_sha256=input_sha256,
-            seed=seed,
-            start_method=found.network.start.method,
-            options_json=canonical_json(options, anchor),
-        ),
-    )
+    source = InputId(input_name, input_sha256)
+    return calibration_of(assessed, provenance_of(found, source, anchor=anchor, options=options, seed=seed))
 
 
 def find_optimum(
@@ -100,6 +98,24 @@ def calibration_of(assessed: Assessed, provenance: Provenance) -> Calibration:
     )
 
 
+def provenance_of(found: Optimum, source: InputId, *, anchor: Anchor, options: Options, seed: int) -> Provenance:
+    """Where a result comes from, at this moment."""
+    return Provenance(
+        program_version=program_version(),
+        created_utc=now_utc(),
+        input_name=source.name,
+        input_sha256=source.sha256,
+        seed=seed,
+        start_method=found.network.start.method,
+        options_json=_canonical_json(options, anchor),
+    )
+
+
+def now_utc() -> str:
+    """ISO 8601, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
 def program_version() -> str:
     """The installed version of spotcal."""
     try:
@@ -108,9 +124,7 @@ def program_version() -> str:
         return "unknown"
 
 
-def canonical_json(options: Options, anchor: Anchor) -> str:
-    """Options and anchor as JSON text that is the same for the same content."""
-
+def _canonical_json(options: Options, anchor: Anchor) -> str:
     def plain(value: object) -> object:
         return value.tolist() if isinstance(value, np.ndarray) else str(value)
 

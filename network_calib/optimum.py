@@ -69,6 +69,10 @@ def optimise(
     problem = start_problem(setups, views)
     graph = verify_pairs(problem, rng=np.random.default_rng(seed))
     refuse_islands(graph)
+    # Two cameras side by side see a volume as if it were flat.
+    unbent = unbend(problem.ray_xy, graph.bend[problem.camera])
+    if len(setups) > 2:
+        refuse_flat(setups, views, unbent, graph.is_inlier)
     failures: list[SpotcalError] = []
     for method in _methods(graph, options):
         try:
@@ -83,10 +87,9 @@ def optimise(
             failures.append(error)
             continue
         return Network(graph, start, refined)
-    # Flatness is the cause of whatever else went wrong. Two cameras side by side see a volume as if it were flat.
+    # Flatness is the cause of whatever else went wrong.
     if len(setups) > 2:
-        rays = unbend(problem.ray_xy, graph.bend[problem.camera])
-        refuse_flat(setups, views, rays, graph.is_inlier, slack=BENT_RAYS_SLACK)
+        refuse_flat(setups, views, unbent, graph.is_inlier, slack=BENT_RAYS_SLACK)
     raise next((failure for failure in failures if isinstance(failure, FlatError)), failures[0])
 
 

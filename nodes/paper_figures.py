@@ -11,7 +11,7 @@ import numpy as np
 
 from lrf_stereo.projection import project_lrf
 from lrf_stereo.scanner import ScanSteps, TiltingScanner
-from lrf_stereo.study import Method, Study, accuracy, calibrated, simulate
+from lrf_stereo.study import Method, Study, StudySetup, accuracy, calibrated, simulate
 from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic_picture import render
 from lrf_stereo.synthetic_scans import Capsule, ScannedRoom
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 SCAN_TILTS_DEG, SCAN_COLOURS = (2.0, 12.0, 23.2), ("#22c55e", "#ef4444", "#facc15")
 METHOD_COLOURS = {Method.PAPER: "#b91c1c", Method.SCREW: "#b45309", Method.JOINT: "#0f766e"}
 N_SPOTS = 22
+MAX_JUMP_M = 0.15
 SETUP = (
     "Simulated: f = 260 px, 320 × 240, baseline 90 mm, detection 0.3 px; URG-04LX (range noise 2.25 mm + 0.73 mm per m,\n"
     "steps of 0.35°), plane crossed with 4 mm; tilts 12.1°, 23.2°, 50°; dx = 40 mm, dz = 60 mm; cameras and tilts known."
@@ -111,8 +112,6 @@ def draw_scans(methods: Sequence[Method], path: Path, *, seed: int) -> None:
         path: of the PNG.
         seed: of the session that calibrates and of the scans.
     """
-    from lrf_stereo.study import StudySetup
-
     data = simulate(StudySetup(), n_spots=N_SPOTS, run=0, seed=seed)
     pictures = [render(data.scene, room.in_world(data)) for room in ROOMS]
     scans = [_scans(data, room, seed) for room in ROOMS]
@@ -135,7 +134,10 @@ def draw_scans(methods: Sequence[Method], path: Path, *, seed: int) -> None:
         grid[0, 0].plot([], [], "-", color="#1e3a8a", linewidth=1.2, label="the same readings by the true scanner")[0],
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    figure.suptitle(f"Scans over the left image (as figure 8), calibrated with N = {N_SPOTS}.\n{SETUP}", fontsize=9)
+    figure.suptitle(
+        f"Scans over the left image (as figure 8), calibrated with N = {N_SPOTS}; what is beyond 5.6 m gives no range.\n{SETUP}",
+        fontsize=9,
+    )
     save_figure(figure, path)
 
 
@@ -175,9 +177,9 @@ def _draw_scan(
     for tilt, colour, (range_m, bearing_rad) in zip(np.radians(SCAN_TILTS_DEG), SCAN_COLOURS, scans, strict=True):
         true = project_lrf(data.scene.scanner, data.scene.cameras, range_m, bearing_rad, tilt)
         found = project_lrf(scanner, data.scene.cameras, range_m, bearing_rad, tilt)
-        # Points that hide each other lie far apart in the image: no line joins them.
+        # No line joins beams that are not neighbours, or that end on different things.
         line = np.where(true.is_valid[0][:, None], true.px[0], np.nan)
-        jump = np.linalg.norm(np.diff(line, axis=0), axis=1) > 12
+        jump = (np.diff(bearing_rad) > 1.5 * ScanSteps().step_rad) | (np.abs(np.diff(range_m)) > MAX_JUMP_M)
         line = np.insert(line, np.flatnonzero(jump) + 1, np.nan, axis=0)
         axes.plot(*line.T, "-", color="#1e3a8a", linewidth=1.2)
         axes.plot(*found.px[0][found.is_valid[0]].T, ".", color=colour, markersize=2.6)

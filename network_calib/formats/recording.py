@@ -29,6 +29,7 @@ class Recording:
         notes: what was dropped, assumed or not understood, one sentence each.
         sha256: digest of the observations, the same for the same spots in every format.
         is_named: False where the camera names were made up by the reader.
+        is_frame_given: False where the frame numbers were made up by the reader, so that no other file can use them.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Recording:
     notes: tuple[str, ...]
     sha256: str
     is_named: bool = True
+    is_frame_given: bool = True
 
 
 def digest(observations: Observations) -> str:

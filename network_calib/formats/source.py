@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from network_calib.errors import InputError
@@ -9,9 +10,12 @@ from network_calib.formats.recording import Recording
 from network_calib.formats.svoboda import read_svoboda
 from network_calib.formats.table import read_csv, read_npz
 
+# What a folder without the files of MultiCamSelfCal holds its spots in; the first that is there.
+TABLES = ("table.npz", "table.csv")
+
 
 def read_source(path: Path, *, tolerance_ns: int | None = None) -> Recording:
-    """Read a MultiCamSelfCal folder, a .csv or a .npz table.
+    """Read a MultiCamSelfCal folder, a .csv or a .npz table, or a folder that holds such a table.
 
     Args:
         path: folder or file.
@@ -21,9 +25,14 @@ def read_source(path: Path, *, tolerance_ns: int | None = None) -> Recording:
         InputError: there is nothing, or nothing that is read here, at the path; or its content is at fault.
     """
     if path.is_dir():
-        if not (path / "points.dat").is_file():
-            raise InputError(f"{path} holds no points.dat", advice="Expected a MultiCamSelfCal folder, .csv or .npz.")
-        return read_svoboda(path)
+        if (path / "points.dat").is_file():
+            return read_svoboda(path)
+        table = next((path / name for name in TABLES if (path / name).is_file()), None)
+        if table is None:
+            raise InputError(
+                f"{path} holds no points.dat", advice=f"Expected a MultiCamSelfCal folder, {' or '.join(TABLES)}."
+            )
+        return replace(read_source(table, tolerance_ns=tolerance_ns), name=path.name)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     suffix = path.suffix.lower()

@@ -10,19 +10,24 @@ Without `frame`, stamps are grouped (`timing.py`). A table knows no image sizes:
 from __future__ import annotations
 
 import csv
-import io
 import math
 import zipfile
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from network_calib.errors import InputError
-from network_calib.formats.recording import MAX_FILE_BYTES, Recording, check_file_size, digest, natural_key, read_text
+from network_calib.formats.csv_text import ColumnNames, csv_columns
+from network_calib.formats.recording import MAX_FILE_BYTES, Recording, check_file_size, digest, natural_key
 from network_calib.formats.table_columns import NUMBERS, REQUIRED, Columns, parse_column
 from network_calib.observations import FloatArray, IntArray, Observations
 from network_calib.timing import group_by_stamp
+
+_COLUMNS = ColumnNames(
+    REQUIRED,
+    ("camera", *NUMBERS),
+    f"expected {', '.join(REQUIRED)}, and frame or stamp_ns, and optionally sigma_px",
+)
 
 
 def read_csv(path: Path, *, tolerance_ns: int | None = None) -> Recording:
@@ -31,7 +36,7 @@ def read_csv(path: Path, *, tolerance_ns: int | None = None) -> Recording:
     Raises:
         InputError: names file, line, column, value and what was expected.
     """
-    columns, rows = _csv_columns(path)
+    columns, rows = csv_columns(path, _COLUMNS)
     arrays = {name: parse_column(path, name, columns[name], rows) for name in columns if name != "camera"}
     names = tuple(sorted(set(columns["camera"]), key=natural_key))
     if "" in names:
@@ -108,66 +113,9 @@ def _recording(
         )
     except InputError as error:
         raise InputError(f"{path}: {error.message}", advice=error.advice) from None
-    return Recording(path.name, observations, (), None, notes, digest(observations))
-
-
-def _csv_columns(path: Path) -> tuple[dict[str, list[str]], Sequence[int]]:
-    """Columns by name, as text, and the line number of each row."""
-    text = read_text(path)
-    header, columns, lines = _split_plain(text) or _split_any(path, text)
-    _check_header(path, header)
-    if not lines:
-        raise InputError(f"{path} has a header but no rows")
-    return dict(zip(header, columns, strict=True)), lines
-
-
-def _split_plain(text: str) -> tuple[list[str], list[list[str]], Sequence[int]] | None:
-    """Split a table without quotes, blank lines and uneven rows at once, several times faster than row by row.
-
-    None when it is not so plain.
-    """
-    rows = text.rstrip("\r\n").replace("\r\n", "\n").split("\n")
-    header = [name.strip() for name in rows[0].split(",")]
-    if '"' in text or "\r" in rows[0] or {row.count(",") for row in rows} != {len(header) - 1} or len(header) < 2:
-        return None
-    del rows[0]
-    fields = ",".join(rows).split(",") if rows else []
-    return header, [fields[k :: len(header)] for k in range(len(header))], range(2, len(rows) + 2)
-
-
-def _split_any(path: Path, text: str) -> tuple[list[str], list[list[str]], Sequence[int]]:
-    """Split any CSV text, and say which line is at fault."""
-    lines: list[int] = []
-    rows: list[list[str]] = []
-    reader = csv.reader(io.StringIO(text), strict=True)
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        _check_header(path, header)
-        for row in reader:
-            if not row:
-                continue
-            if len(row) != len(header):
-                raise InputError(f"{path}, line {reader.line_num}: {len(row)} fields, expected {len(header)}")
-            rows.append(row)
-            lines.append(reader.line_num)
-    except csv.Error as error:
-        raise InputError(f"{path}, line {reader.line_num}: {error}") from None
-    return header, [list(column) for column in zip(*rows, strict=True)] or [[] for _ in header], lines
-
-
-def _check_header(path: Path, header: list[str]) -> None:
-    known = ("camera", *NUMBERS)
-    expected = f"expected {', '.join(REQUIRED)}, and frame or stamp_ns, and optionally sigma_px"
-    if not header:
-        raise InputError(f"{path} is empty, {expected}")
-    missing = [name for name in REQUIRED if name not in header]
-    if missing:
-        raise InputError(f"{path}, line 1: columns {', '.join(missing)} missing in {header}, {expected}")
-    unknown = [name for name in header if name not in known]
-    if unknown:
-        raise InputError(f"{path}, line 1: unknown columns {unknown}, {expected}")
-    if len(set(header)) != len(header):
-        raise InputError(f"{path}, line 1: a column stands there twice: {header}")
+    return Recording(
+        path.name, observations, (), None, notes, digest(observations), is_frame_given=columns.frame is not None
+    )
 
 
 def _npz_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -57,18 +57,18 @@ def parse_column(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -
         InputError: a value is no number of the right kind, or out of range.
     """
     if name == "stamp_ns":
-        return _integers(path, name, raw, lines)
+        return integers(path, name, raw, lines)
     if name == "frame":
-        frames = _integers(path, name, raw, lines)
-        _refuse(path, name, raw, lines, frames < 0, "0 or more")
+        frames = integers(path, name, raw, lines)
+        refuse(path, name, raw, lines, frames < 0, "0 or more")
         return frames
     if name == "sigma_px":
         raw = [text if text.strip() else "nan" for text in raw] if isinstance(raw, list) else raw
-        values = _floats(path, name, raw, lines)
-        _refuse(path, name, raw, lines, (values <= 0) | (values > MAX_PIXEL), "a number > 0, or nothing")
+        values = floats(path, name, raw, lines)
+        refuse(path, name, raw, lines, (values <= 0) | (values > MAX_PIXEL), "a number > 0, or nothing")
         return values
-    values = _floats(path, name, raw, lines)
-    _refuse(path, name, raw, lines, ~(np.abs(values) <= MAX_PIXEL), f"a number within +-{MAX_PIXEL:g}")
+    values = floats(path, name, raw, lines)
+    refuse(path, name, raw, lines, ~(np.abs(values) <= MAX_PIXEL), f"a number within +-{MAX_PIXEL:g}")
     return values
 
 
@@ -76,7 +76,12 @@ def _as_int(column: IntArray | FloatArray | None) -> IntArray | None:
     return None if column is None else column.astype(np.int64)
 
 
-def _floats(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -> FloatArray:
+def floats(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -> FloatArray:
+    """Numbers, whatever their size; for the arguments see `parse_column`.
+
+    Raises:
+        InputError: a value is no number.
+    """
     if not isinstance(raw, list):
         if raw.dtype.kind not in "fiu":
             raise InputError(f"{path}: array {name} is {raw.dtype}, expected numbers")
@@ -84,21 +89,26 @@ def _floats(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -> Flo
     try:
         return np.array(_plain(float, raw), dtype=np.float64)
     except ValueError:
-        _refuse(path, name, raw, lines, np.array([not _parses(float, text) for text in raw]), "a number")
+        refuse(path, name, raw, lines, np.array([not _parses(float, text) for text in raw]), "a number")
         raise
 
 
-def _integers(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -> IntArray:
+def integers(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -> IntArray:
+    """Whole numbers; for the arguments see `parse_column`.
+
+    Raises:
+        InputError: a value is no whole number within 64 bits.
+    """
     if not isinstance(raw, list):
         if raw.dtype.kind not in "iu":
             raise InputError(f"{path}: array {name} is {raw.dtype}, expected whole numbers")
-        _refuse(path, name, raw, lines, raw > np.iinfo(np.int64).max, "a whole number within 64 bits")
+        refuse(path, name, raw, lines, raw > np.iinfo(np.int64).max, "a whole number within 64 bits")
         return raw.astype(np.int64)
     try:
         return np.array(_plain(int, raw), dtype=np.int64)
     except (ValueError, OverflowError):
         is_wrong = np.array([not _parses(_int64, text) for text in raw])
-        _refuse(path, name, raw, lines, is_wrong, "a whole number within 64 bits")
+        refuse(path, name, raw, lines, is_wrong, "a whole number within 64 bits")
         raise
 
 
@@ -121,7 +131,12 @@ def _parses(parse: Callable[[str], float], text: str) -> bool:
     return True
 
 
-def _refuse(path: Path, name: str, raw: Raw, lines: Sequence[int] | None, is_wrong: np.ndarray, expected: str) -> None:
+def refuse(path: Path, name: str, raw: Raw, lines: Sequence[int] | None, is_wrong: np.ndarray, expected: str) -> None:
+    """Refuse the values where `is_wrong` (K,) holds: file, line, column, value, and what was expected.
+
+    Raises:
+        InputError: there is one.
+    """
     if not is_wrong.any():
         return
     k = int(np.flatnonzero(is_wrong)[0])
