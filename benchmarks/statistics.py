@@ -1,8 +1,8 @@
 """A synthetic room, many seeds: are the errors as small as the data allow, and are the stated uncertainties true?
 
-The same room and walk each time, new noise. Efficiency is measured after a similarity: in the frame of C0, scaled by the
-short baseline, all centres err together by the one error of the scale, and a hundred draws of one number have an RMS
-that is good to 7 % only. Coverage is measured where the stated covariances hold: in the frame of C0, baseline given.
+The same room and walk each time, new noise. Efficiency is measured after a similarity: in the frame of C0, whose scale
+comes from the short baseline, all centres err together by the one error of the scale, and a hundred draws of one number
+have an RMS that is good to 7 % only. Coverage is measured in that frame, where the stated covariances hold.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ class _Pairs:
 
 
 def _polish(rotation: FloatArray, shift: FloatArray, pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
-    """Refit to the inliers until they settle, with a limit that shrinks, because three noisy points extrapolate badly."""
+    """Refit to the inliers until they settle, with a shrinking limit, as three noisy points extrapolate badly."""
     before = np.zeros(len(pairs.source), dtype=bool)
     noise = PointNoise(np.asarray(np.linalg.inv(pairs.information), dtype=np.float64))
     for widening in (3.0, 2.0, 1.5, *np.ones(MAX_ROUNDS)):

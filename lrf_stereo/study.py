@@ -1,7 +1,7 @@
 """Table I and figure 7 from a simulation: the methods side by side on the same sessions, their errors known.
 
-A session is the paper's: spots on the scan plane at three tilts, seen by the stereo pair and the scanner. Its errors are
-then taken over the whole range of tilts at exact readings of probes, so that they are the calibration's alone.
+A session is the paper's: spots on the scan plane at three tilts, seen by the stereo pair and the scanner. Its errors
+are then taken over the whole range of tilts at exact readings of probes, so that they are the calibration's alone.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ from nodes.config_model import (
     CameraConfig,
     CentresAnchor,
     DistanceAnchor,
+    InstrumentConfig,
+    LrfConfig,
     PointsAnchor,
     RoomConfig,
     SigmaConfig,
@@ -46,6 +48,8 @@ def _known_keys(location: list[int | str]) -> tuple[str, ...]:
     if words[:1] == ["cameras"]:
         model = SigmaConfig if words[-1] == "sigma" else CameraConfig
         return tuple(model.model_fields)
+    if words[:1] == ["lrfs"]:
+        return tuple((InstrumentConfig if words[-1] == "sigma" else LrfConfig).model_fields)
     if words[:1] == ["anchor"]:
         models = (StereoAnchor, DistanceAnchor, CentresAnchor, PointsAnchor)
         return tuple({key: None for model in models for key in model.model_fields})

@@ -15,6 +15,7 @@ def _twice(value: object) -> object:
 
 
 Positive = Annotated[FiniteFloat, Field(gt=0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 Name = Annotated[str, Field(min_length=1)]
 Xyz = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
@@ -159,10 +160,39 @@ class TimingConfig(_Strict):
     tolerance_ms: Positive | None = None
 
 
+class InstrumentConfig(_Strict):
+    """What an LRF may be wrong by, as standard deviations; 0 holds a number at its nominal value.
+
+    Attributes:
+        tilt_gain: angle turned over angle reported, relative.
+        range_bias_m: of every range.
+        range_scale: relative; a baseline must tell metres, or the ranges say nothing of it.
+        bearing_zero_deg: of the scan's front.
+    """
+
+    tilt_gain: NotNegative = 0.0
+    range_bias_m: NotNegative = 0.0
+    range_scale: NotNegative = 0.0
+    bearing_zero_deg: NotNegative = 0.0
+
+
+class LrfConfig(_Strict):
+    """One [[lrfs]] entry.
+
+    Attributes:
+        name: as in lrf.csv.
+        sigma: what the instrument may be wrong by; nothing when left out.
+    """
+
+    name: Name
+    sigma: InstrumentConfig = InstrumentConfig()
+
+
 class RoomConfig(_Strict):
     """room.toml."""
 
     cameras: list[CameraConfig] = []
+    lrfs: list[LrfConfig] = []
     anchor: AnchorConfig = NoAnchor(kind="none")
     options: OptionsConfig = OptionsConfig()
     world: WorldConfig = WorldConfig()
@@ -176,9 +206,11 @@ class RoomConfig(_Strict):
     @model_validator(mode="after")
     def _check(self) -> RoomConfig:
         names = [camera.name for camera in self.cameras]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"camera names given twice: {', '.join(twice)}")
+        lrf_names = [lrf.name for lrf in self.lrfs]
+        for kind, given in (("camera", names), ("LRF", lrf_names)):
+            twice = sorted({name for name in given if given.count(name) > 1})
+            if twice:
+                raise ValueError(f"{kind} names given twice: {', '.join(twice)}")
         if isinstance(self.anchor, StereoAnchor | DistanceAnchor) and self.anchor.cameras[0] == self.anchor.cameras[1]:
             raise ValueError(f"anchor.cameras names {self.anchor.cameras[0]!r} twice, expected two cameras")
         return self

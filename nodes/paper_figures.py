@@ -28,8 +28,9 @@ METHOD_COLOURS = {Method.PAPER: "#b91c1c", Method.SCREW: "#b45309", Method.JOINT
 N_SPOTS = 22
 MAX_JUMP_M = 0.15
 SETUP = (
-    "Simulated: f = 260 px, 320 × 240, baseline 90 mm, detection 0.3 px; URG-04LX (range noise 2.25 mm + 0.73 mm per m,\n"
-    "steps of 0.35°), plane crossed with 4 mm; tilts 12.1°, 23.2°, 50°; dx = 40 mm, dz = 60 mm; cameras and tilts known."
+    "Simulated: f = 260 px, 320 × 240, baseline 90 mm, detection 0.3 px; URG-04LX (range noise 2.25 mm + 0.73 mm "
+    "per m,\nsteps of 0.35°), plane crossed with 4 mm; tilts 12.1°, 23.2°, 50°; dx = 40 mm, dz = 60 mm; cameras and "
+    "tilts known."
 )
 
 
@@ -134,10 +135,8 @@ def draw_scans(methods: Sequence[Method], path: Path, *, seed: int) -> None:
         grid[0, 0].plot([], [], "-", color="#1e3a8a", linewidth=1.2, label="the same readings by the true scanner")[0],
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    figure.suptitle(
-        f"Scans over the left image (as figure 8), calibrated with N = {N_SPOTS}; what is beyond 5.6 m gives no range.\n{SETUP}",
-        fontsize=9,
-    )
+    title = f"Scans over the left image (as figure 8), calibrated with N = {N_SPOTS}; beyond 5.6 m there is no range."
+    figure.suptitle(f"{title}\n{SETUP}", fontsize=9)
     save_figure(figure, path)
 
 

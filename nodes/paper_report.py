@@ -111,9 +111,9 @@ def _refusals(study: Study) -> list[str]:
 def _caption(n_runs: int, seed: int, refused: Sequence[str]) -> str:
     left_out = f" Refused sessions, left out: {'; '.join(refused)}." if refused else ""
     return (
-        f"{SETUP}\nReprojection error of LRF points in the left image over tilts 2° to 50°, exact readings: AE mean, SD "
-        f"standard deviation over a session's points, of the median of {n_runs} sessions; seed {seed}. The paper's own "
-        f"row is from its real set-up, whose lens, noise and points are not stated.{left_out}"
+        f"{SETUP}\nReprojection error of LRF points in the left image over tilts 2° to 50°, exact readings: AE mean, "
+        f"SD standard deviation over a session's points, of the median of {n_runs} sessions; seed {seed}. The paper's "
+        f"own row is from its real set-up, whose lens, noise and points are not stated.{left_out}"
     )
 
 
