@@ -8,6 +8,7 @@ with one table. Nothing here fails on a slow machine: times are reported, and ju
     engine              the joint engine against pycolmap's bundle adjustment, same problem, same optimum
     statistics          a synthetic room, many seeds: errors over the Cramer-Rao bound, coverage, inlier mask
     growth              5 to 200 cameras, 1,000 to 50,000 spots: time and memory exponents
+    lrf_accuracy        the paper's set-up, 150 sessions: each method's errors, trust in the stated ones, time
     startup             `spotcal --help`
 """
 

@@ -8,11 +8,13 @@ import os
 import platform
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.report import Row, Run, markdown_table
+from network_calib.errors import SpotcalError
 
-NAMES = ("recordings", "against_colmap_sfm", "engine", "statistics", "growth", "startup")
+NAMES = ("recordings", "against_colmap_sfm", "engine", "statistics", "growth", "lrf_accuracy", "startup")
 
 
 def main() -> int:
@@ -37,10 +39,18 @@ def main() -> int:
 def _section(name: str, run: Run) -> str:
     begin = time.perf_counter()
     rows: list[Row] = []
-    for row in importlib.import_module(f"benchmarks.{name}").measure(run):
+    for row in _measured(name, run):
         rows.append(row)
         print(f"{name}: {row.what}: {row.measured} [{row.reach}] {row.verdict}", flush=True)
     return f"## {name} ({time.perf_counter() - begin:.0f} s)\n\n{markdown_table(rows)}"
+
+
+def _measured(name: str, run: Run) -> Iterator[Row]:
+    """The rows of a benchmark; a refusal to calibrate is one of them, and the next benchmark goes on."""
+    try:
+        yield from importlib.import_module(f"benchmarks.{name}").measure(run)
+    except SpotcalError as error:
+        yield Row(f"{name} stopped", error.message, "no refusal", False)
 
 
 def _conditions(run: Run) -> str:

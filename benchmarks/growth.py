@@ -154,5 +154,7 @@ def _plot(grown: dict[str, list[Grown]], path: str) -> None:
         memory.legend()
         for panel in (times, memory):
             panel.grid(which="both", alpha=0.3)
+            panel.set_xticks(size, [f"{n:,}" for n in size])
+            panel.set_xticks([], minor=True)
     figure.savefig(path, dpi=120)
     plt.close(figure)

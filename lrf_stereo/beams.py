@@ -23,91 +23,46 @@ GATHERED_BEAMS = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class ScannerFrame:
-    """A scanner with what is the same for all its scans.
+class TiltedScanner:
+    """A scanner at T different tilts: all that does not depend on the beam.
 
     Attributes:
         scanner: the scanner.
-        pose: (4, 4) world_from_lrf at the reference tilt.
-        across: (3, 2) unit vectors across the tilt axis.
-        skew: (3, 3) the cross product with the axis.
-        outer: (3, 3) the projection onto the axis.
-    """
-
-    scanner: TiltingScanner
-    pose: FloatArray
-    across: FloatArray
-    skew: FloatArray
-    outer: FloatArray
-
-    @classmethod
-    def of(cls, scanner: TiltingScanner) -> ScannerFrame:
-        """Take a scanner."""
-        n = scanner.axis_direction_in_world
-        return cls(scanner, scanner.world_from_lrf.as_matrix(), across(n), _skew(n), n[:, None] * n)
-
-    def turns(self, angle_rad: FloatArray) -> FloatArray:
-        """(T, 3, 3) rotations about the axis by angles (T,): Rodrigues' formula."""
-        cosine, sine = np.cos(angle_rad)[:, None, None], np.sin(angle_rad)[:, None, None]
-        return sine * self.skew + cosine * (np.eye(3) - self.outer) + self.outer
-
-
-@dataclass(frozen=True, slots=True)
-class Beams:
-    """N beam ends at T different tilts.
-
-    Attributes:
-        frame: the scanner.
-        range_m: (N,) measured ranges.
-        terms: (5, N) the numbers 1, x, y, cos, sin of the true range and bearing.
-        tilt_of: (N,) index of the tilt; None where there is only one.
-        swing_rad: (T,) reported tilts over the reference tilt.
+        tilts_rad: (T,) reported tilts.
         turn: (T, 3, 3) rotations about the tilt axis.
         rotation: (T, 3, 3) world_from_lrf.
         origin: (T, 3) mirror in world.
     """
 
-    frame: ScannerFrame
-    range_m: FloatArray
-    terms: FloatArray
-    tilt_of: IntArray | None
-    swing_rad: FloatArray
+    scanner: TiltingScanner
+    tilts_rad: FloatArray
     turn: FloatArray
     rotation: FloatArray
     origin: FloatArray
 
     @classmethod
-    def of(
-        cls,
-        frame: ScannerFrame,
-        range_m: FloatArray,
-        bearing_rad: FloatArray,
-        tilts_rad: FloatArray,
-        tilt_of: IntArray | None,
-    ) -> Beams:
-        """Beams of measured ranges and bearings (N,) at the tilts `tilts_rad` (T,)."""
-        scanner, pose, foot = frame.scanner, frame.pose, frame.scanner.axis_point_in_world
-        swing = tilts_rad - scanner.reference_tilt_rad
-        turn = frame.turns(scanner.tilt_gain * swing)
-        terms = np.ones((5, len(range_m)))
-        true_bearing = bearing_rad - scanner.bearing_zero_rad
-        np.cos(true_bearing, out=terms[3])
-        np.sin(true_bearing, out=terms[4])
-        np.multiply((range_m - scanner.range_bias_m) / scanner.range_scale, terms[3:], out=terms[1:3])
-        return cls(frame, range_m, terms, tilt_of, swing, turn, turn @ pose[:3, :3], turn @ (pose[:3, 3] - foot) + foot)
+    def of(cls, scanner: TiltingScanner, tilts_rad: FloatArray) -> TiltedScanner:
+        """Turn the scanner by Rodrigues' formula."""
+        pose, foot, n = scanner.world_from_lrf.as_matrix(), scanner.axis_point_in_world, scanner.axis_direction_in_world
+        angle = scanner.tilt_gain * (tilts_rad - scanner.reference_tilt_rad)
+        cosine, sine, outer = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None], n[:, None] * n
+        turn = sine * _skew(n) + cosine * (np.eye(3) - outer) + outer
+        return cls(scanner, tilts_rad, turn, turn @ pose[:3, :3], turn @ (pose[:3, 3] - foot) + foot)
 
-    def ends_in_world(self) -> FloatArray:
-        """(3, N) points."""
-        return self._sum(np.concatenate([self.origin[:, :, None], self.rotation[:, :, :2]], axis=2), self.terms[:3])
+    def factors_of_ends(self) -> FloatArray:
+        """(T, 3, 3) factors of the terms 1, x, y of a beam, whose sum is its end in world."""
+        return np.concatenate([self.origin[:, :, None], self.rotation[:, :, :2]], axis=2)
 
-    def by_scanner(self) -> FloatArray:
-        """(14, 3, N) derivative of the ends by the scanner's parameters, in the order of SCANNER_TANGENT."""
+    def factors_of_slopes(self) -> FloatArray:
+        """(T, 42, 5) factors of a beam's terms, whose sums are the derivatives (14, 3) of its end by the scanner."""
         slope = self._slope_of_terms() @ self._by_scanner()[:, None]
-        n_tilts = len(slope)
-        return self._sum(slope.transpose(0, 3, 2, 1).reshape(n_tilts, -1, 5), self.terms).reshape(N_SCANNER, 3, -1)
+        return slope.transpose(0, 3, 2, 1).reshape(len(slope), -1, 5)
 
-    def covariance(self, noise: LrfNoise | None, scanner_covariance: FloatArray | None) -> FloatArray:
-        """(3, 3, N) covariance of the ends in world, m^2, from what is given: noise, and the scanner's (14, 14)."""
+    def factors_of_spread(self, noise: LrfNoise | None, scanner_covariance: FloatArray | None) -> FloatArray:
+        """(T, 9, 25) factors of products of a beam's terms, whose sums are the covariance (3, 3) of its end in world.
+
+        Of what is given, all but the noise of the range: that depends on the beam.
+        """
         n_tilts = len(self.turn)
         of_scan = np.zeros((n_tilts, 8, 8))
         if scanner_covariance is not None:
@@ -121,26 +76,21 @@ class Beams:
             of_scan += noise.bearing_rad**2 * by_bearing[:, :, None] * by_bearing[:, None]
         slope = self._slope_of_terms().reshape(n_tilts, 15, 8)
         products = (slope @ of_scan @ slope.transpose(0, 2, 1)).reshape(n_tilts, 5, 3, 5, 3)
-        squares = (self.terms[:, None] * self.terms).reshape(25, -1)
-        out = self._sum(products.transpose(0, 2, 4, 1, 3).reshape(n_tilts, 9, 25), squares).reshape(3, 3, -1)
-        if noise is not None:
-            along = self._sum(self.rotation[:, :, :2], self.terms[3:])
-            along *= noise.range_m(self.range_m) / self.frame.scanner.range_scale
-            out += along[:, None] * along
-        return out
+        return products.transpose(0, 2, 4, 1, 3).reshape(n_tilts, 9, 25)
 
     def _by_scanner(self) -> FloatArray:
         """(T, 8, 14) derivative of (shift of the mirror, turn about it, range bias, range scale) by the scanner."""
         out = np.zeros((len(self.turn), 8, N_SCANNER))
-        basis, arm = self.frame.across, self.origin - self.frame.scanner.axis_point_in_world
+        basis, arm = across(self.scanner.axis_direction_in_world), self.origin - self.scanner.axis_point_in_world
         out[:, 3:6, 0:3] = self.turn
         out[:, 0:3, 3:6] = self.turn
         # The axis turns by psi = n x change: exp(psi) R exp(-psi) turns what it carries by psi - R psi, about the foot.
-        psi = np.stack([basis[:, 1], -basis[:, 0]], axis=1)
+        psi = _skew(self.scanner.axis_direction_in_world) @ basis
         out[:, 3:6, 6:8] = psi - self.turn @ psi
         out[:, 0:3, 6:8] = -_skew(arm) @ out[:, 3:6, 6:8]
         out[:, 0:3, 8:10] = basis - self.turn @ basis
-        out[:, :, 10] = self._by_tilt() * (self.swing_rad / self.frame.scanner.tilt_gain)[:, None]
+        swing = (self.tilts_rad - self.scanner.reference_tilt_rad) / self.scanner.tilt_gain
+        out[:, :, 10] = self._by_tilt() * swing[:, None]
         out[:, 6, 11] = out[:, 7, 12] = 1.0
         out[:, 3:6, 13] = -self.rotation[:, :, 2]
         return out
@@ -148,9 +98,10 @@ class Beams:
     def _by_tilt(self) -> FloatArray:
         """(T, 8) the same derivative by the reported tilt."""
         out = np.zeros((len(self.turn), 8))
-        out[:, 0:3] = (self.origin - self.frame.scanner.axis_point_in_world) @ self.frame.skew.T
-        out[:, 3:6] = self.frame.scanner.axis_direction_in_world
-        return self.frame.scanner.tilt_gain * out
+        direction = self.scanner.axis_direction_in_world
+        out[:, 0:3] = (self.origin - self.scanner.axis_point_in_world) @ _skew(direction).T
+        out[:, 3:6] = direction
+        return self.scanner.tilt_gain * out
 
     def _slope_of_terms(self) -> FloatArray:
         """(T, 5, 3, 8): derivative of each term's factor by (shift of the mirror, turn about it, range bias, scale)."""
@@ -159,7 +110,53 @@ class Beams:
         for k in range(2):
             axis = self.rotation[:, :, k]
             out[:, 1 + k, :, 3:6] = -_skew(axis)
-            out[:, 1 + k, :, 7] = out[:, 3 + k, :, 6] = -axis / self.frame.scanner.range_scale
+            out[:, 1 + k, :, 7] = out[:, 3 + k, :, 6] = -axis / self.scanner.range_scale
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """N beam ends.
+
+    Attributes:
+        tilted: the scanner at the beams' tilts.
+        tilt_of: (N,) index of each beam's tilt; None where there is only one.
+        range_m: (N,) measured ranges.
+        terms: (5, N) the numbers 1, x, y, cos, sin of the true range and bearing.
+    """
+
+    tilted: TiltedScanner
+    tilt_of: IntArray | None
+    range_m: FloatArray
+    terms: FloatArray
+
+    @classmethod
+    def of(cls, tilted: TiltedScanner, tilt_of: IntArray | None, range_m: FloatArray, bearing_rad: FloatArray) -> Beams:
+        """Beams of measured ranges and bearings (N,)."""
+        scanner = tilted.scanner
+        terms = np.ones((5, len(range_m)))
+        true_bearing = bearing_rad - scanner.bearing_zero_rad
+        np.cos(true_bearing, out=terms[3])
+        np.sin(true_bearing, out=terms[4])
+        np.multiply((range_m - scanner.range_bias_m) / scanner.range_scale, terms[3:], out=terms[1:3])
+        return cls(tilted, tilt_of, range_m, terms)
+
+    def ends_in_world(self) -> FloatArray:
+        """(3, N) points."""
+        return self._sum(self.tilted.factors_of_ends(), self.terms[:3])
+
+    def by_scanner(self) -> FloatArray:
+        """(14, 3, N) derivative of the ends by the scanner's parameters, in the order of SCANNER_TANGENT."""
+        return self._sum(self.tilted.factors_of_slopes(), self.terms).reshape(N_SCANNER, 3, -1)
+
+    def covariance(self, factors: FloatArray, noise: LrfNoise | None) -> FloatArray:
+        """(3, 3, N) covariance of the ends in world, m^2, from the tilts' `factors_of_spread` and the range's noise."""
+        squares = (self.terms[:, None] * self.terms).reshape(25, -1)
+        out = self._sum(factors, squares).reshape(3, 3, -1)
+        if noise is not None:
+            along = self._sum(self.tilted.rotation[:, :, :2], self.terms[3:])
+            along *= noise.range_m(self.range_m) / self.tilted.scanner.range_scale
+            out += along[:, None] * along
         return out
 
     def _sum(self, factors: FloatArray, terms: FloatArray) -> FloatArray:
@@ -173,21 +170,29 @@ class Beams:
         return out
 
 
-def flat_beams(
-    frame: ScannerFrame, range_m: npt.ArrayLike, bearing_rad: npt.ArrayLike, tilt_rad: npt.ArrayLike
-) -> tuple[Beams, tuple[int, ...]]:
-    """Beams of measurements of any shapes that broadcast, flattened, and the common shape."""
-    rho, theta, tilt = (np.asarray(a, dtype=np.float64) for a in (range_m, bearing_rad, tilt_rad))
-    shape = np.broadcast_shapes(rho.shape, theta.shape, tilt.shape)
-    if tilt.size == 1:
-        tilts, tilt_of = tilt.ravel(), None
-    else:
-        tilts, inverse = np.unique(tilt, return_inverse=True)
-        tilt_of = np.broadcast_to(inverse.reshape(tilt.shape), shape).ravel()
-    if not rho.shape == theta.shape == shape:
-        rho, theta = np.broadcast_to(rho, shape), np.broadcast_to(theta, shape)
-    rho, theta = rho.ravel(), theta.ravel()
-    return Beams.of(frame, rho, theta, tilts, tilt_of), shape
+@dataclass(frozen=True, slots=True)
+class Measurements:
+    """Measurements of a shape S, flattened to N; `tilts_rad` (T,) are the different tilts, `tilt_of` as in `Beams`."""
+
+    shape: tuple[int, ...]
+    range_m: FloatArray
+    bearing_rad: FloatArray
+    tilts_rad: FloatArray
+    tilt_of: IntArray | None
+
+    @classmethod
+    def of(cls, range_m: npt.ArrayLike, bearing_rad: npt.ArrayLike, tilt_rad: npt.ArrayLike) -> Measurements:
+        """Flatten measurements of any shapes that broadcast."""
+        rho, theta, tilt = (np.asarray(a, dtype=np.float64) for a in (range_m, bearing_rad, tilt_rad))
+        shape = np.broadcast_shapes(rho.shape, theta.shape, tilt.shape)
+        if tilt.size == 1:
+            tilts, tilt_of = tilt.ravel(), None
+        else:
+            tilts, inverse = np.unique(tilt, return_inverse=True)
+            tilt_of = np.broadcast_to(inverse.reshape(tilt.shape), shape).ravel()
+        if not rho.shape == theta.shape == shape:
+            rho, theta = np.broadcast_to(rho, shape), np.broadcast_to(theta, shape)
+        return cls(shape, rho.ravel(), theta.ravel(), tilts, tilt_of)
 
 
 def _skew(vector: FloatArray) -> FloatArray:

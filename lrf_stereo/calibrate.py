@@ -6,12 +6,13 @@ tilt axis only make the start of one joint maximum-likelihood solve.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from lrf_stereo.lrf_doubts import lrf_doubts
 from lrf_stereo.lrf_priors import InstrumentSigma
+from lrf_stereo.one_sided import with_common_height
 from lrf_stereo.paper import PlaneSamples, calibrate_screw
 from lrf_stereo.refine import LrfCovariance, LrfData, LrfRefined, NetworkData, lrf_covariance, refine_jointly
 from lrf_stereo.rigid import PointNoise
@@ -23,9 +24,6 @@ from network_calib.result import Doubt
 from network_calib.spots import located, spots_from_cameras
 
 MIN_SIGHTINGS = 6
-MIN_SPAN_RAD = float(np.radians(20.0))
-# Probability of a larger chi-square by chance, below which the model or the given sigmas are doubted.
-MAX_CHI2_SURPRISE_SIGMA = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +70,9 @@ def calibrate_lrfs(
     data = LrfData.of(spots, settings, network.views, instrument or InstrumentSigma())
     scanners = tuple(_started(network, data, scanner, rng) for scanner in range(settings.n_scanners))
     refined = refine_jointly(network, scanners, spots, settings, instrument=data.instrument, rejection=rejection)
-    spread = lrf_covariance(refined)
-    return LrfCalibration(refined, spread, refined.chi2 / max(refined.dof, 1), tuple(_doubts(refined, data)))
+    spread = with_common_height(lrf_covariance(refined), refined, data)
+    doubts = tuple(lrf_doubts(refined, network, data))
+    return LrfCalibration(refined, spread, refined.chi2 / max(refined.dof, 1), doubts)
 
 
 def _started(network: NetworkData, data: LrfData, scanner: int, rng: np.random.Generator) -> TiltingScanner:
@@ -130,24 +129,3 @@ def _refuse_few(data: LrfData, settings: IntArray, local: IntArray) -> None:
             f"too few spots in the scan plane at tilt {listed}; {MIN_SIGHTINGS} or more are needed at each",
             advice="Cross the scan plane there more often, with the spot in view of two cameras.",
         )
-
-
-def _doubts(refined: LrfRefined, data: LrfData) -> Iterator[Doubt]:
-    for scanner in range(data.settings.n_scanners):
-        angles = data.settings.angle_rad[data.settings.scanner == scanner]
-        if np.ptp(angles) < MIN_SPAN_RAD:
-            yield Doubt(
-                "tilt span",
-                f"LRF {scanner}: its tilts span {np.degrees(np.ptp(angles)):.1f}°",
-                "The axis is weak beyond them: add tilts that span 20° or more.",
-            )
-    # chi2 has variance 2 dof.
-    surprise = (refined.chi2 - refined.dof) / np.sqrt(2 * max(refined.dof, 1))
-    if surprise > MAX_CHI2_SURPRISE_SIGMA:
-        yield Doubt(
-            "lrf chi2",
-            f"residuals are larger than their sigmas say: chi2/dof {refined.chi2 / max(refined.dof, 1):.2f}",
-            "A tilt angle may be wrong, a crossing one-sided, or a clock late: look at the residuals by tilt.",
-        )
-    if not refined.has_converged:
-        yield Doubt("convergence", "the joint solve stopped before it settled", "Take more sightings.")

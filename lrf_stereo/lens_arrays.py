@@ -1,6 +1,6 @@
 """The two distortion models over tiles of cameras x points, with derivatives.
 
-Terms are four arrays (c, 1), one value for each camera; coordinates are (c, n). The formulas are those of
+Terms are up to four arrays (c, 1), one value for each camera; coordinates are (c, n). The formulas are those of
 `network_calib.cameras`; here each kind of lens has its own functions, so that a tile never computes both.
 """
 
@@ -16,18 +16,24 @@ Slope = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class Brown:
-    """Radial-tangential distortion k1, k2, p1, p2."""
+    """Radial-tangential distortion k1, k2, p1, p2; the last two may be left out where they are zero."""
+
+    @staticmethod
+    def needed(terms: FloatArray) -> FloatArray:
+        """The terms without p1, p2 where no camera has them."""
+        return terms if terms[2:].any() else terms[:2]
 
     @staticmethod
     def distorted(terms: FloatArray, u: FloatArray, v: FloatArray, r2: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distorted coordinates of x/z, y/z, with r2 = u^2 + v^2."""
-        k1, k2, p1, p2 = terms
+        k1, k2 = terms[:2]
         radial = k2 * r2
         radial += k1
         radial *= r2
         radial += 1
         ud, vd = u * radial, v * radial
-        if p1.any() or p2.any():
+        if len(terms) == 4:
+            p1, p2 = terms[2:]
             cross = 2 * u * v
             ud += p1 * cross + p2 * (r2 + 2 * u * u)
             vd += p1 * (r2 + 2 * v * v) + p2 * cross
@@ -36,12 +42,13 @@ class Brown:
     @staticmethod
     def slope(terms: FloatArray, u: FloatArray, v: FloatArray, r2: FloatArray) -> Slope:
         """Entries 00, 01 (= 10), 11 of the derivative of the distorted by the undistorted coordinates."""
-        k1, k2, p1, p2 = terms
+        k1, k2 = terms[:2]
         grow = 2 * k1 + (4 * k2) * r2
         radial = 1 + r2 * (k1 + k2 * r2)
         grow_u = grow * u
         a00, a01, a11 = radial + grow_u * u, grow_u * v, radial + grow * v * v
-        if p1.any() or p2.any():
+        if len(terms) == 4:
+            p1, p2 = terms[2:]
             p1u, p1v, p2u, p2v = p1 * u, p1 * v, p2 * u, p2 * v
             a00 += 2 * p1v + 6 * p2u
             a01 += 2 * (p1u + p2v)
@@ -73,6 +80,11 @@ class Brown:
 
 class KannalaBrandt:
     """Fisheye distortion k1..k4: the radius is theta (1 + k1 theta^2 + ... + k4 theta^8)."""
+
+    @staticmethod
+    def needed(terms: FloatArray) -> FloatArray:
+        """All terms."""
+        return terms
 
     @staticmethod
     def distorted(terms: FloatArray, u: FloatArray, v: FloatArray, r2: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -32,7 +32,7 @@ class ValidPixels:
         vd: (K,) distorted v.
         focal_x: (K,) px.
         focal_y: (K,) px.
-        terms: (4, K) distortion.
+        terms: (2 or 4, K) distortion.
     """
 
     group: LensGroup
@@ -75,7 +75,7 @@ class ValidPixels:
 
     def work_size(self) -> int:
         """How many numbers `covariance` needs to work with."""
-        return len(self.point) * (6 + 4 * self.group.n_parameters)
+        return len(self.point) * (18 + 4 * self.group.n_parameters)
 
     def covariance(self, points_m2: FloatArray, by_scanner: FloatArray | None, work: FloatArray) -> FloatArray:
         """(3, K) covariance xx, xy, yy of the pixels, px^2.
@@ -89,7 +89,8 @@ class ValidPixels:
         """
         n, k = len(self.point), self.group.n_parameters
         in_cam = work[: 6 * n].reshape(2, 3, n)
-        slope, spread = work[6 * n :][: 4 * k * n].reshape(2, 2, k, n)
+        of_point, product = work[: 9 * n].reshape(9, n), work[9 * n : 18 * n].reshape(3, 3, n)
+        slope, spread = work[18 * n :][: 4 * k * n].reshape(2, 2, k, n)
         self._fill_by_point_in_cam(in_cam)
         self._fill_by_centre(slope[:, :3], in_cam)
         if self.group.covariance is None:
@@ -102,9 +103,11 @@ class ValidPixels:
                 np.einsum("kin,ain->akn", turned, slope[:, :3], out=slope[:, -len(by_scanner) :])
             for camera, pixels in self.of_camera:
                 np.matmul(self.group.covariance[camera], slope[:, :, pixels], out=spread[:, :, pixels])
-        of_point = np.take(points_m2.reshape(9, -1), self.point, axis=1).reshape(3, 3, n)
+        # The memory of `in_cam` is no longer needed.
+        np.take(points_m2.reshape(9, -1), self.point, axis=1, out=of_point, mode="clip")
         for a in range(2):
-            spread[a, :3] += (of_point * slope[a, :3]).sum(axis=1)
+            np.multiply(of_point.reshape(3, 3, n), slope[a, :3], out=product)
+            spread[a, :3] += product.sum(axis=1)
         return np.stack([np.einsum("kn,kn->n", slope[a], spread[b]) for a, b in ((0, 0), (0, 1), (1, 1))])
 
     def _fill_by_point_in_cam(self, out: FloatArray) -> None:

@@ -29,7 +29,7 @@ class LensGroup:
         focal_y: (c, 1) px.
         centre_x: (c, 1) px.
         centre_y: (c, 1) px.
-        terms: (4, c, 1) distortion.
+        terms: (2 or 4, c, 1) distortion.
         end: (2, c, 1) last pixel position that is inside the image, x and y.
         fold_r2: (c, 1) squared radius of x/z, y/z from which on the lens folds back.
         minus_turn: (c, 3, 3) minus the rotations world_from_cam.
@@ -71,7 +71,7 @@ class LensGroup:
             focal_y=columns[1],
             centre_x=columns[2],
             centre_y=columns[3],
-            terms=columns[4:],
+            terms=lens.needed(columns[4:]),
             end=cameras.size_px[members].T[:, :, None].astype(np.float64) - 0.5,
             fold_r2=lens.fold_r2(columns[4:])[:, None],
             minus_turn=np.ascontiguousarray(-poses[:, :3, :3].transpose(0, 2, 1)),

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lrf_stereo.beams import N_SCANNER, Beams, ScannerFrame, flat_beams
+from lrf_stereo.beams import N_SCANNER, Beams, Measurements, TiltedScanner
 from lrf_stereo.lens_arrays import Brown, KannalaBrandt
 from lrf_stereo.noise import LrfNoise
 from lrf_stereo.pixel_covariance import ValidPixels
@@ -110,7 +110,8 @@ def project_lrf(
 class LrfProjector:
     """Equation 14 prepared for many scans of one scanner; gives what `project_lrf` gives.
 
-    Not for two threads at a time: they would work in the same memory.
+    What depends on the tilt alone is kept from scan to scan while the tilt stays. Not for two threads at a time: they
+    would work in the same memory.
     """
 
     def __init__(
@@ -119,9 +120,10 @@ class LrfProjector:
         self._covariance = covariance or CalibrationCovariance()
         self._covariance.check(len(cameras))
         self._is_calibration_uncertain = covariance is not None
-        self._frame = ScannerFrame.of(scanner)
         self._n_cameras = len(cameras)
         self._groups = tuple(_lens_groups(cameras, self._covariance))
+        self._tilted = TiltedScanner.of(scanner, np.empty(0))
+        self._spread: tuple[LrfNoise | None, FloatArray] | None = None
         self._work = np.empty(0)
 
     def project(
@@ -133,10 +135,12 @@ class LrfProjector:
         noise: LrfNoise | None = None,
     ) -> LrfProjection:
         """Project measurements; arguments and result as in `project_lrf`."""
-        beams, shape = flat_beams(self._frame, range_m, bearing_rad, tilt_rad)
+        measured = Measurements.of(range_m, bearing_rad, tilt_rad)
+        self._tilt(measured.tilts_rad)
+        beams = Beams.of(self._tilted, measured.tilt_of, measured.range_m, measured.bearing_rad)
         points = beams.ends_in_world()
         is_wanted = noise is not None or self._is_calibration_uncertain
-        spread = _Spread.of(beams, noise, self._covariance) if is_wanted else None
+        spread = self._spread_of(beams, noise) if is_wanted else None
         canvas = _Canvas.of(self._n_cameras, points.shape[1], is_with_covariance=is_wanted)
         with np.errstate(all="ignore"):  # what is behind a camera or overflows is not finite, and reported as invalid
             for group, members in self._groups:
@@ -147,7 +151,17 @@ class LrfProjector:
                         pixels = ValidPixels.of(tile)
                         covariance = pixels.covariance(*spread.take(columns), self._memory(pixels.work_size()))
                         canvas.put_covariance(covariance, members[rows][pixels.camera], pixels.point + columns.start)
-        return canvas.as_projection(shape)
+        return canvas.as_projection(measured.shape)
+
+    def _tilt(self, tilts_rad: FloatArray) -> None:
+        if not np.array_equal(tilts_rad, self._tilted.tilts_rad):
+            self._tilted, self._spread = TiltedScanner.of(self._tilted.scanner, tilts_rad.copy()), None
+
+    def _spread_of(self, beams: Beams, noise: LrfNoise | None) -> _Spread:
+        if self._spread is None or self._spread[0] != noise:
+            self._spread = noise, self._tilted.factors_of_spread(noise, self._covariance.scanner)
+        slope = None if self._covariance.camera_scanner is None else beams.by_scanner()
+        return _Spread(beams.covariance(self._spread[1], noise), slope)
 
     def _memory(self, size: int) -> FloatArray:
         """Numbers to overwrite, kept from one tile to the next."""
@@ -162,11 +176,6 @@ class _Spread:
 
     covariance: FloatArray
     by_scanner: FloatArray | None
-
-    @classmethod
-    def of(cls, beams: Beams, noise: LrfNoise | None, given: CalibrationCovariance) -> _Spread:
-        slope = None if given.camera_scanner is None else beams.by_scanner()
-        return cls(beams.covariance(noise, given.scanner), slope)
 
     def take(self, columns: slice) -> tuple[FloatArray, FloatArray | None]:
         return self.covariance[..., columns], None if self.by_scanner is None else self.by_scanner[..., columns]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
+from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from lrf_stereo.lrf_block import N_COLUMNS, SCANNERS, TILTS, LrfBlock
@@ -24,7 +25,7 @@ from network_calib.camera_block import PART, CameraBlock, cameras_of
 from network_calib.camera_parameters import CameraParameters, free_columns
 from network_calib.cameras import Cameras
 from network_calib.errors import DegenerateError
-from network_calib.gauge import similarity_directions
+from network_calib.gauge import Similarity, similarity_directions
 from network_calib.observations import BoolArray, FloatArray, IntArray
 from network_calib.priors import lens_prior
 from network_calib.refine import intrinsics_groups
@@ -154,6 +155,7 @@ def refine_jointly(
     data = LrfData.of(spots, settings, network.views, instrument or InstrumentSigma())
     usable = (data.point >= 0) & located(network.points)[np.maximum(data.point, 0)]
     is_inlier = usable.copy()
+    cam_from_world = network.cameras.cam_from_world[0]
     limit = float(chi2.isf(chi2.sf(rejection**2, 1), 3))
     loss: Loss = CauchyLoss(2.4)
     for _ in range(N_ROUNDS):
@@ -165,6 +167,8 @@ def refine_jointly(
             break
         is_inlier, loss = judged, SquaredLoss()
     solved = _solve(network, scanners, data, is_inlier, SquaredLoss(), EXACT)
+    if not network.is_held:
+        solved = _posed(solved, cam_from_world)
     return LrfRefined(
         cameras=solved.network.cameras,
         points=solved.network.points,
@@ -264,6 +268,25 @@ def _solve(
     cameras = cameras_of(solution.state.parts).apply_to(network.cameras)
     moved = replace(network, cameras=cameras, points=points)
     return _Solved(moved, part.apply_to(scanners), tilts.angle_rad, problem, solution)
+
+
+def _posed(solved: _Solved, cam_from_world: RigidTransform) -> _Solved:
+    """The same solution with the first camera where it was: the solve lets the whole world drift."""
+    drifted, state = solved.network, solved.solution.state
+    world_from_drifted = cam_from_world.inv() * drifted.cameras.cam_from_world[0]
+    motion = Similarity(1.0, world_from_drifted.rotation.as_matrix(), np.asarray(world_from_drifted.translation))
+    cameras = motion.apply_to_cameras(drifted.cameras)
+    scanners = tuple(scanner.moved_by(world_from_drifted) for scanner in solved.scanners)
+    part = state.parts[SCANNERS]
+    assert isinstance(part, ScannerPart)
+    parts = {
+        PART: CameraParameters.from_cameras(cameras, cameras_of(state.parts).columns),
+        SCANNERS: ScannerPart.from_scanners(scanners, part.columns),
+        TILTS: state.parts[TILTS],
+    }
+    state = State(parts, np.ascontiguousarray(motion.apply(state.points.T).T))
+    network = replace(drifted, cameras=cameras, points=motion.apply(drifted.points))
+    return replace(solved, network=network, scanners=scanners, solution=replace(solved.solution, state=state))
 
 
 def _degrees_of_freedom(solved: _Solved, *, is_held: bool) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,8 @@ class LrfSpots:
         sigma_range_m: (M,) standard deviation.
         sigma_bearing_rad: (M,) standard deviation.
         sigma_out_of_plane_m: (M,) standard deviation, from the crossing procedure.
+        bias_bound_m: (M,) how far the centre may have been off the plane, always to the same side: of a one-sided
+            crossing (`crossing.Crossings.bias_bound_m`); zero, the default, for a two-sided one.
     """
 
     frame: IntArray
@@ -33,8 +35,11 @@ class LrfSpots:
     sigma_range_m: FloatArray
     sigma_bearing_rad: FloatArray
     sigma_out_of_plane_m: FloatArray
+    bias_bound_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
+        if not len(self.bias_bound_m):
+            object.__setattr__(self, "bias_bound_m", np.zeros(len(self.frame)))
         measured = np.stack([self.range_m, self.bearing_rad, self.out_of_plane_m])
         if not np.isfinite(measured).all() or (self.range_m <= 0).any():
             bad = int(np.flatnonzero(~np.isfinite(measured).all(axis=0) | ~(self.range_m > 0))[0])
@@ -43,6 +48,8 @@ class LrfSpots:
         if not (np.isfinite(sigma).all() and (sigma > 0).all()):
             bad = int(np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)).all(axis=0))[0])
             raise InputError(f"LRF sighting {bad} in frame {self.frame[bad]} has a sigma that is not positive")
+        if len(self.bias_bound_m) != len(self.frame) or not (self.bias_bound_m >= 0).all():
+            raise InputError("bounds of the crossings' bias must be numbers from 0, one for each LRF sighting")
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from network_calib.formats.recording import Recording
     from network_calib.result import Calibration
     from nodes.config import Resolved
+    from nodes.config_model import RoomConfig
 
 EXIT_ERROR, EXIT_UNEXPECTED_RESULT, EXIT_INTERRUPTED = 2, 1, 130
 
@@ -62,20 +63,36 @@ def calibrate(
     fix_intrinsics: Annotated[
         bool, typer.Option("--fix-intrinsics", help="Hold the given intrinsics fixed; otherwise they are a prior.")
     ] = False,
+    cameras: Annotated[
+        Path | None, typer.Option("--cameras", help="A calibration.json whose cameras are held: adds the LRFs to it.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate cameras from spot observations."""
+    """Calibrate cameras from spot observations, and the LRFs of a session folder with lrf.csv."""
     from network_calib.formats.calibration_json import save
     from nodes.config import load_room, resolve
-    from nodes.solve import check_writable, solve
+    from nodes.lrf_session import read_lrfs_beside, require_lrfs
+    from nodes.solve import check_writable, solve, solve_lrfs
 
     check_writable(out)
     room = None if config is None else load_room(config)
     recording = _read(source, tolerance_ns=None if room is None else room.tolerance_ns)
-    resolved = resolve(recording, room, fix_intrinsics=fix_intrinsics, start=start)
+    lrfs = read_lrfs_beside(source, recording, room)
     console = _stderr(quiet=quiet)
-    _print_notes(console, resolved)
-    calibration = solve(resolved, seed=seed, input_name=recording.name, input_sha256=recording.sha256, console=console)
+    if cameras is not None:
+        _refuse_camera_options(start=start, fix_intrinsics=fix_intrinsics)
+        calibration = solve_lrfs(cameras, recording, require_lrfs(lrfs, source), rejection=_rejection(room), seed=seed)
+    else:
+        resolved = resolve(recording, room, fix_intrinsics=fix_intrinsics, start=start)
+        _print_notes(console, resolved)
+        calibration = solve(
+            resolved,
+            seed=seed,
+            input_name=recording.name,
+            input_sha256=recording.sha256,
+            console=console,
+            lrfs=lrfs,
+        )
     save(calibration, out)
     if not quiet:
         _print_calibration(calibration)
@@ -141,18 +158,14 @@ def simulate(
     missing: Annotated[float, typer.Option("--missing", min=0, max=1, help="Share of detections dropped.")] = 0.3,
     false: Annotated[float, typer.Option("--false", min=0, max=1, help="Share of false detections.")] = 0.1,
 ) -> None:
-    """Write a synthetic recording with its truth: points, table.npz, room.toml, truth.json."""
-    import numpy as np
+    """Write a synthetic recording with its truth: points, table.npz, room.toml, truth.json, tables of LRFs."""
+    from nodes.simulate import simulate_named
 
-    from network_calib.synthetic import observe, room
-    from nodes.simulation import write_simulation
-
-    rng = np.random.default_rng(seed)
-    built = room(name, rng=rng, n_frames=frames)
-    sighting = observe(built, rng=rng, sigma_px=noise_px, missing=missing, false_detections=false)
     folder = Path(name) if out is None else out
-    write_simulation(built, sighting, folder, noise_px=noise_px, seed=seed)
-    _stderr().print(f"Written to {folder}: {len(sighting.observations)} detections", markup=False, soft_wrap=True)
+    n_detections = simulate_named(
+        name, folder, seed=seed, n_frames=frames, noise_px=noise_px, missing=missing, false=false
+    )
+    _stderr().print(f"Written to {folder}: {n_detections} detections", markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -189,6 +202,23 @@ def _read(source: Path, *, tolerance_ns: int | None) -> Recording:
     from network_calib.formats.source import read_source
 
     return read_source(source, tolerance_ns=tolerance_ns)
+
+
+def _refuse_camera_options(*, start: str | None, fix_intrinsics: bool) -> None:
+    from network_calib.errors import InputError
+
+    given = [
+        name for name, is_given in (("--start", start is not None), ("--fix-intrinsics", fix_intrinsics)) if is_given
+    ]
+    if given:
+        raise InputError(f"{', '.join(given)}: of no use with --cameras, which holds the cameras as they are")
+
+
+def _rejection(room: RoomConfig | None) -> float:
+    from network_calib.room_setup import Options
+
+    given = None if room is None else room.options.rejection
+    return Options().rejection if given is None else given
 
 
 def _print_notes(console: Console, resolved: Resolved) -> None:

@@ -23,9 +23,10 @@ from network_calib.synthetic import CameraErrors, Room, Sighting, compare, obser
 from nodes.config import Resolved
 from nodes.network_picture import draw_network
 from nodes.pictures import draw_errors, draw_residuals
-from nodes.show import calibration_view, plain_table
+from nodes.show import calibration_view
 from nodes.simulation import write_simulation
 from nodes.solve import solve
+from nodes.tables import plain_table
 
 ROOM_NAME = "smart_room"
 N_FRAMES, NOISE_PX, MISSING, FALSE = 1500, 0.2, 0.3, 0.1

@@ -20,6 +20,7 @@ from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.session import LrfSession
 from network_calib.errors import InputError
 from network_calib.formats.csv_text import ColumnNames, csv_columns
+from network_calib.formats.recording import Recording
 from network_calib.formats.table_columns import floats, integers, refuse
 from network_calib.observations import FloatArray, IntArray
 from nodes.config_faults import hint
@@ -59,9 +60,34 @@ class _Tilts:
     settings: TiltSettings
 
 
-def holds_lrfs(source: Path) -> bool:
-    """Whether a session folder holds LRF data."""
-    return source.is_dir() and (source / LRF_FILE).is_file()
+def read_lrfs_beside(source: Path, recording: Recording, config: RoomConfig | None) -> LrfSession | None:
+    """The LRF data of a session folder; None where it holds none, or the source is a file.
+
+    Raises:
+        InputError: as `read_lrf_session`; or the cameras' table has no frame numbers to meet those of the LRFs.
+    """
+    if not (source.is_dir() and (source / LRF_FILE).is_file()):
+        return None
+    if not recording.is_frame_given:
+        raise InputError(
+            f"{source}: the table of spots has stamps and no frame numbers, so {LRF_FILE} cannot refer to its frames",
+            advice="Add a column frame to the table.",
+        )
+    return read_lrf_session(source, config)
+
+
+def require_lrfs(lrfs: LrfSession | None, source: Path) -> LrfSession:
+    """The session, which must be there.
+
+    Raises:
+        InputError: there is none.
+    """
+    if lrfs is None:
+        raise InputError(
+            f"{source} holds no {LRF_FILE}: there is no LRF to add to the cameras",
+            advice=f"Give a session folder with {LRF_FILE} and {TILT_FILE}, or leave --cameras out.",
+        )
+    return lrfs
 
 
 def read_lrf_session(folder: Path, config: RoomConfig | None = None) -> LrfSession:

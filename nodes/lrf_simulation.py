@@ -36,7 +36,7 @@ class LrfPlan:
         n_room_cameras: beside the stereo pair.
         is_given: the intrinsics are known; two cameras alone do not determine theirs.
         n_waved: spots that the cameras alone see, all over the room.
-        n_spots_per_tilt: crossings of the scan plane.
+        n_spots_per_tilt: crossings of the scan plane; of those that two cameras alone could see, half may go missing.
     """
 
     n_room_cameras: int
@@ -46,9 +46,9 @@ class LrfPlan:
 
 
 LRF_PLANS = {
-    "paper_setup": LrfPlan(n_room_cameras=0, is_given=True, n_waved=200),
+    "paper_setup": LrfPlan(n_room_cameras=0, is_given=True, n_waved=300, n_spots_per_tilt=40),
     "lrf_room": LrfPlan(n_room_cameras=3, is_given=False, n_waved=600),
-    "lrf_room_given": LrfPlan(n_room_cameras=3, is_given=True, n_waved=300),
+    "lrf_room_given": LrfPlan(n_room_cameras=3, is_given=True, n_waved=400),
 }
 
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich import box
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
@@ -15,6 +14,8 @@ from rich.text import Text
 
 from network_calib.cameras import LensModel
 from network_calib.result import PARAMETER_NAMES, CalibratedCamera, Calibration, Doubt, ErrorSummary
+from nodes.show_lrf import lrf_tables
+from nodes.tables import length, plain_table, plus_minus, share
 
 if TYPE_CHECKING:
     from network_calib.evaluate import Evaluation
@@ -31,6 +32,7 @@ def calibration_view(calibration: Calibration) -> RenderableType:
         _distortion_table(calibration.cameras),
         _pose_table(calibration),
         _error_table(calibration),
+        *lrf_tables(calibration.lrfs),
         *warning_panels(calibration.warnings),
     )
 
@@ -61,54 +63,16 @@ def evaluation_view(evaluation: Evaluation, *, names: Sequence[str]) -> Renderab
     for index, (name, summary) in enumerate(zip(names, evaluation.cameras, strict=True)):
         rows = evaluation.camera == index
         n_rows, n_inliers = int(rows.sum()), int(evaluation.is_inlier[rows].sum())
-        table.add_row(Text(name), str(n_rows), _share(n_inliers, n_rows), *_errors(summary))
+        table.add_row(Text(name), str(n_rows), share(n_inliers, n_rows), *_errors(summary))
     table.add_section()
     n_inliers = int(evaluation.is_inlier.sum())
     table.add_row(
-        "all", str(len(evaluation.camera)), _share(n_inliers, len(evaluation.camera)), *_errors(evaluation.overall)
+        "all", str(len(evaluation.camera)), share(n_inliers, len(evaluation.camera)), *_errors(evaluation.overall)
     )
     return Group(table, Text(f"{evaluation.n_frames} frames with two views or more."))
 
 
-def plus_minus(value: float, sigma: float, *, n_digits: int = 2, max_decimals: int = 9) -> str:
-    """Value and standard deviation with so many digits of the latter; a sigma of zero means held fixed."""
-    if not math.isfinite(sigma):
-        return f"{value:.6g}"
-    if sigma <= 0:
-        return f"{value:.6g} fixed"
-    n_decimals = min(max(n_digits - 1 - math.floor(math.log10(sigma)), 0), max_decimals)
-    return f"{value:.{n_decimals}f}±{sigma:.{n_decimals}f}"
-
-
-def length(value: float, unit: str) -> str:
-    """A length with a unit that suits its size."""
-    if not math.isfinite(value):
-        return "–"
-    if unit != "m":
-        return f"{value:.3g} {unit}s"
-    if value < 1e-3:
-        return f"{value * 1e6:.3g} µm"
-    return f"{value * 1e3:.3g} mm" if value < 1 else f"{value:.4g} m"
-
-
 _ERROR_HEADS = ("mean", "RMS", "median", "95 %")
-
-
-def plain_table(title: str, first: str, *heads: str) -> Table:
-    """An empty table with a column of names and columns of numbers."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column(first, overflow="fold", min_width=8, max_width=26)
-    for head in heads:
-        table.add_column(head, justify="right", no_wrap=True)  # where it is narrow the names fold, not the numbers
-    return table
 
 
 def _summary(calibration: Calibration) -> Table:
@@ -120,7 +84,7 @@ def _summary(calibration: Calibration) -> Table:
     rows = [
         ("input", f"{origin.input_name}  (seed {origin.seed}, start by {origin.start_method})"),
         ("world", f"frame {world.name}; scale from {world.scale_source}{scale}"),
-        ("spots", f"{quality.n_points} fitted; {_share(quality.n_inliers, quality.n_observations)} inliers of "
+        ("spots", f"{quality.n_points} fitted; {share(quality.n_inliers, quality.n_observations)} inliers of "
                   f"{quality.n_observations} observations"),
         ("error", f"fitted {quality.fitted.mean_px:.3f} px mean, {quality.fitted.median_px:.3f} median; hold-out "
                   f"{_px(quality.holdout.mean_px)} px mean, {_px(quality.holdout.median_px)} median"),
@@ -210,7 +174,7 @@ def _error_table(calibration: Calibration) -> Table:
         table.add_row(
             Text(camera.name),
             str(quality.n_observations),
-            _share(quality.fitted.n, quality.n_observations),
+            share(quality.fitted.n, quality.n_observations),
             *_errors(quality.fitted),
             _px(quality.holdout.mean_px),
             _px(quality.noise_sigma_px),
@@ -218,8 +182,8 @@ def _error_table(calibration: Calibration) -> Table:
         )
     table.add_section()
     whole = calibration.quality
-    share = _share(whole.n_inliers, whole.n_observations)
-    row = (str(whole.n_observations), share, *_errors(whole.fitted), _px(whole.holdout.mean_px), "", "")
+    part = share(whole.n_inliers, whole.n_observations)
+    row = (str(whole.n_observations), part, *_errors(whole.fitted), _px(whole.holdout.mean_px), "", "")
     table.add_row("all", *row)
     return table
 
@@ -230,10 +194,3 @@ def _errors(summary: ErrorSummary) -> tuple[str, str, str, str]:
 
 def _px(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "–"
-
-
-def _share(part: int, whole: int) -> str:
-    """A percentage that says 100 only when nothing is missing."""
-    if not whole:
-        return "–"
-    return "100 %" if part == whole else f"{math.floor(1000 * part / whole) / 10:.1f} %"

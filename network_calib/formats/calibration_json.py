@@ -16,12 +16,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from network_calib.cameras import LensModel
 from network_calib.formats.calibration_reader import read_calibration
+from network_calib.formats.lrf_json import lrf_document
+from network_calib.formats.shared_json import canonical_pose, covariance_document, pose_document
 from network_calib.formats.strict_json import Node, parse_json
-from network_calib.observations import FloatArray
 from network_calib.result import PARAMETER_NAMES, CalibratedCamera, Calibration
 
 SCHEMA = "spotcal.calibration/1"
@@ -67,10 +67,13 @@ def load(path: Path) -> Calibration:
 
 def to_document(calibration: Calibration) -> dict[str, object]:
     """The calibration as nested dictionaries of JSON values."""
+    world = calibration.world.name
+    lrfs = [_as_json(lrf_document(lrf, world=world)) for lrf in calibration.lrfs]
     return {
         "schema": SCHEMA,
         "world": _as_json(asdict(calibration.world)),
-        "cameras": [_camera_document(camera, world=calibration.world.name) for camera in calibration.cameras],
+        "cameras": [_camera_document(camera, world=world) for camera in calibration.cameras],
+        **({"lrfs": lrfs} if lrfs else {}),
         "quality": _as_json(asdict(calibration.quality)),
         "warnings": [_as_json(asdict(warning)) for warning in calibration.warnings],
         "provenance": _as_json(asdict(calibration.provenance)),
@@ -82,26 +85,9 @@ def distortion_names(lens: LensModel) -> tuple[str, str, str, str]:
     return ("k1", "k2", "k3", "k4") if lens.is_fisheye else ("k1", "k2", "p1", "p2")
 
 
-def canonical_quaternion(rotation: Rotation) -> FloatArray:
-    """(4,) the quaternion xyzw, w >= 0, whose file is the same after any number of loads and saves.
-
-    A pose is held as a matrix, so a quaternion is rounded on its way in and on its way out: q -> f(q) may differ in the
-    last bit, and repeating f ends in a cycle. The least element of the cycle depends on the cycle only, hence loading
-    it and saving again, which starts at f of it, finds the same one.
-    """
-    seen: list[tuple[float, ...]] = []
-    quaternion = tuple(rotation.as_quat(canonical=True).tolist())
-    while quaternion not in seen:
-        seen.append(quaternion)
-        held = RigidTransform.from_components((0, 0, 0), Rotation.from_quat(quaternion))
-        quaternion = tuple(held.rotation.as_quat(canonical=True).tolist())
-    return np.array(min(seen[seen.index(quaternion) :]))
-
-
 def _camera_document(camera: CalibratedCamera, *, world: str) -> dict[str, object]:
-    quaternion = canonical_quaternion(camera.cam_from_world.rotation)
     # The derived centre must come from the pose as it will be loaded.
-    pose = RigidTransform.from_components(camera.cam_from_world.translation, Rotation.from_quat(quaternion))
+    pose = canonical_pose(camera.cam_from_world)
     focal_x, focal_y, centre_x, centre_y, *distortion = np.asarray(camera.intrinsics).tolist()
     return {
         "name": camera.name,
@@ -115,18 +101,10 @@ def _camera_document(camera: CalibratedCamera, *, world: str) -> dict[str, objec
             "distortion": dict(zip(distortion_names(camera.lens), distortion, strict=True)),
         },
         "is_intrinsics_fixed": _as_json(camera.is_intrinsics_fixed),
-        "cam_from_world": {
-            "target": camera.name,
-            "source": f"world {world}",
-            "rotation_quat_xyzw": quaternion.tolist(),
-            "translation": pose.translation.tolist(),
-        },
+        "cam_from_world": pose_document(pose, target=camera.name, source=f"world {world}"),
         "centre_in_world": pose.inv().translation.tolist(),
         "sigma": dict(zip(PARAMETER_NAMES, camera.sigma.tolist(), strict=True)),
-        "covariance": {
-            "covariance_parameters": list(PARAMETER_NAMES),
-            "lower_triangle": [row[: k + 1] for k, row in enumerate(np.asarray(camera.covariance).tolist())],
-        },
+        "covariance": covariance_document(camera.covariance, PARAMETER_NAMES),
         "quality": _as_json(asdict(camera.quality)),
     }
 
@@ -137,6 +115,8 @@ def _as_json(value: object) -> object:
         return {name: _as_json(member) for name, member in value.items()}
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, list):
+        return [_as_json(member) for member in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

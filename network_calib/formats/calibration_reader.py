@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from network_calib.cameras import LensModel
+from network_calib.formats.lrf_json import read_lrf
+from network_calib.formats.shared_json import DIGITS, check_sigma, json_word, read_covariance, read_pose
 from network_calib.formats.strict_json import Node
 from network_calib.observations import FloatArray
 from network_calib.result import (
     PARAMETER_NAMES,
     CalibratedCamera,
+    CalibratedLrf,
     Calibration,
     CameraQuality,
     Doubt,
@@ -23,13 +24,11 @@ from network_calib.result import (
 )
 
 MAX_IMAGE_SIDE_PX = 100_000
-# The digits of a hand-written file: sums of rounded numbers agree to this.
-DIGITS = 1e-9
 
 
 def read_calibration(root: Node, *, schema: str) -> Calibration:
     """Build the result. Faults stay in `root.faults`; the value counts only when there are none."""
-    fields = root.fields("schema", "world", "cameras", "quality", "warnings", "provenance")
+    fields = root.fields("schema", "world", "cameras", "quality", "warnings", "provenance", optional=("lrfs",))
     if fields["schema"].text() != schema:
         fields["schema"].fail(json_word(schema))
     world = _world(fields["world"])
@@ -43,12 +42,18 @@ def read_calibration(root: Node, *, schema: str) -> Calibration:
         quality=_network_quality(fields["quality"]),
         warnings=tuple(_warning(node) for node in fields["warnings"].items()),
         provenance=_provenance(fields["provenance"]),
+        lrfs=_lrfs(fields["lrfs"], world) if "lrfs" in fields else (),
     )
 
 
-def json_word(text: str) -> str:
-    """A string as it stands in JSON."""
-    return f'"{text}"'
+def _lrfs(node: Node, world: WorldFrame) -> tuple[CalibratedLrf, ...]:
+    lrfs = tuple(read_lrf(item, world=world.name) for item in node.items())
+    names = [lrf.name for lrf in lrfs]
+    if not names or len(set(names)) != len(names):
+        node.faults.append(f"{node.path}: LRF names {names}, expected one or more, unique")
+    if world.unit != "m":
+        node.faults.append(f"{node.path}: in a world of unit {world.unit}, expected m: ranges are metric")
+    return lrfs
 
 
 def _world(node: Node) -> WorldFrame:
@@ -71,11 +76,11 @@ def _camera(node: Node, *, world: str) -> CalibratedCamera:
     if max(width, height) > MAX_IMAGE_SIDE_PX:
         fields["size_px"].fail(f"at most {MAX_IMAGE_SIDE_PX} px")
     lens = LensModel(fields["lens"].text(*(model.value for model in LensModel)))
-    covariance = _covariance(fields["covariance"])
-    pose = _pose(fields["cam_from_world"], camera=name, world=world)
+    covariance = read_covariance(fields["covariance"], PARAMETER_NAMES)
+    pose = read_pose(fields["cam_from_world"], target=name, source=f"world {world}")
     # Derived figures are compared only with a sound original: one mistake is one fault.
     if covariance is not None:
-        _check_sigma(fields["sigma"], covariance)
+        check_sigma(fields["sigma"], covariance, PARAMETER_NAMES)
     if pose is not None:
         _check_centre(fields["centre_in_world"], pose)
     return CalibratedCamera(
@@ -103,57 +108,11 @@ def _intrinsics(node: Node, lens: LensModel) -> FloatArray:
     return np.array([*focal, *centre, *distortion])
 
 
-def _pose(node: Node, *, camera: str, world: str) -> RigidTransform | None:
-    n_faults = len(node.faults)
-    fields = node.fields("target", "source", "rotation_quat_xyzw", "translation")
-    for name, expected in (("target", camera), ("source", f"world {world}")):
-        if fields[name].text() != expected:
-            fields[name].fail(json_word(expected))
-    quaternion, translation = fields["rotation_quat_xyzw"].numbers(4), fields["translation"].numbers(3)
-    if len(node.faults) > n_faults:
-        return None
-    if abs(math.hypot(*quaternion) - 1) > DIGITS:
-        fields["rotation_quat_xyzw"].fail("a unit quaternion")
-        return None
-    return RigidTransform.from_components(translation, Rotation.from_quat(quaternion))
-
-
 def _check_centre(node: Node, pose: RigidTransform) -> None:
     centre = np.array(node.numbers(3))
     expected = pose.inv().translation
     if not np.allclose(centre, expected, rtol=DIGITS, atol=DIGITS * (1 + np.abs(expected).max())):
         node.fail(f"{expected.tolist()}, which the pose says")
-
-
-def _covariance(node: Node) -> FloatArray | None:
-    n_faults, n = len(node.faults), len(PARAMETER_NAMES)
-    fields = node.fields("covariance_parameters", "lower_triangle")
-    if fields["covariance_parameters"].value != list(PARAMETER_NAMES):
-        fields["covariance_parameters"].fail(", ".join(PARAMETER_NAMES))
-    covariance = np.zeros((n, n))
-    for k, row in enumerate(fields["lower_triangle"].items(n)):
-        covariance[k, : k + 1] = covariance[: k + 1, k] = row.numbers(k + 1)
-    if len(node.faults) > n_faults:
-        return None
-    variance = np.diag(covariance)
-    if (variance < 0).any():
-        fields["lower_triangle"].fail(f"variances >= 0, found {variance.min():g}")
-        return None
-    # As correlations, so that pixels and radians weigh the same; rounding leaves eigenvalues a little below zero.
-    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    smallest = float(np.linalg.eigvalsh(covariance / scale[:, None] / scale).min())
-    if smallest < -1e-6:
-        fields["lower_triangle"].fail(f"a positive semidefinite matrix, its least eigenvalue is {smallest:.3g}")
-        return None
-    return covariance
-
-
-def _check_sigma(node: Node, covariance: FloatArray) -> None:
-    fields = node.fields(*PARAMETER_NAMES)
-    for k, name in enumerate(PARAMETER_NAMES):
-        expected = math.sqrt(covariance[k, k])
-        if not math.isclose(fields[name].number(0.0), expected, rel_tol=DIGITS):
-            fields[name].fail(f"{expected!r}, which the covariance says")
 
 
 def _errors(node: Node) -> ErrorSummary:

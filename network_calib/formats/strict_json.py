@@ -44,11 +44,12 @@ class Node:
         shown = json.dumps(self.value)
         self.faults.append(f"{self.path}: {shown if len(shown) <= 60 else shown[:57] + '...'}, expected {expected}")
 
-    def fields(self, *names: str) -> dict[str, Node]:
-        """The members of an object that has exactly these names."""
+    def fields(self, *names: str, optional: tuple[str, ...] = ()) -> dict[str, Node]:
+        """The members of an object that has exactly these names, and those of the optional ones that are there."""
         if not isinstance(self.value, dict):
             self.fail("an object")
             return {name: Node(None, f"{self.path}.{name}", []) for name in names}
+        names = (*names, *(name for name in optional if name in self.value))
         for name in self.value.keys() - set(names):
             self.faults.append(f"{self.path}.{name}: unknown field")
         out = {}

@@ -11,7 +11,7 @@ from network_calib.formats.source import read_source
 from network_calib.formats.table import write_csv
 from nodes import cli
 
-COMMANDS = ("calibrate", "show", "evaluate", "export", "simulate", "demo")
+COMMANDS = ("calibrate", "show", "evaluate", "export", "simulate", "demo", "paper")
 HEAVY = ("cv2", "pycolmap", "scipy.optimize", "matplotlib", "zenoh", "numpy")
 
 

@@ -9,7 +9,8 @@ from network_calib.evaluate import evaluate
 from network_calib.formats.calibration_json import load
 from network_calib.formats.source import read_source
 from network_calib.result import Doubt
-from nodes.show import calibration_view, evaluation_view, length, plus_minus
+from nodes.show import calibration_view, evaluation_view
+from nodes.tables import length, plus_minus
 
 
 def text_of(renderable, width=100):

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from network_calib.errors import InputError
-from network_calib.formats.calibration_json import canonical_quaternion, load, save
+from network_calib.formats.calibration_json import load, save
+from network_calib.formats.shared_json import canonical_quaternion
 from network_calib.result import PARAMETER_NAMES
 
 

@@ -1,0 +1,88 @@
+"""Do the spots agree with the tilt angles that were measured? One more solve in which the angles are as good as free.
+
+Angles that are trusted bend the scanner's axis when they are wrong, and chi-square over all residuals hardly moves.
+What the spots alone say of each angle is the sharper question.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError
+from scipy.stats import chi2
+
+from lrf_stereo.lrf_block import TILTS
+from lrf_stereo.refine import LrfData, LrfRefined, NetworkData, build_joint_problem
+from lrf_stereo.samples import TiltSettings
+from lrf_stereo.scanner_part import TiltPart
+from network_calib.bundle import SolverOptions, covariance, solve
+from network_calib.observations import FloatArray, IntArray
+from network_calib.robust_loss import SquaredLoss
+from network_calib.spots import located
+
+# As good as free, and still determined where the spots say nothing.
+LOOSE_RAD = float(np.radians(5.0))
+# From the optimum with held angles it is a step or two.
+EFFORT = SolverOptions(max_iterations=4, cost_tolerance=1e-6, initial_damping=1e-6)
+
+
+@dataclass(frozen=True, slots=True)
+class TiltCheck:
+    """One scanner's tilt angles by the spots, less the measured ones; against its first setting.
+
+    Attributes:
+        setting: (n,) settings.
+        difference_rad: (n,).
+        sigma_rad: (n,) of the difference, the measured angles' own included.
+        chi2: of all differences together.
+    """
+
+    setting: IntArray
+    difference_rad: FloatArray
+    sigma_rad: FloatArray
+    chi2: float
+
+    def is_surprising(self, sigma: float) -> bool:
+        """Whether chance gives as much less often than `sigma` of one dimension is exceeded."""
+        return bool(chi2.sf(self.chi2, len(self.setting)) < chi2.sf(sigma**2, 1))
+
+
+def check_tilts(refined: LrfRefined, network: NetworkData, data: LrfData) -> tuple[TiltCheck, ...]:
+    """Compare measured tilt angles with those that the used sightings ask for, for each scanner.
+
+    Returns:
+        One check for each scanner; none at all where the spots do not determine the angles.
+    """
+    settings = data.settings
+    loose = TiltSettings(settings.scanner, settings.angle_rad, LOOSE_RAD**2 * np.eye(len(settings.angle_rad)))
+    at_optimum = replace(network, cameras=refined.cameras, points=refined.points)
+    is_used = located(refined.points)
+    if network.is_held:
+        with_lrf = np.zeros(len(is_used), dtype=bool)
+        with_lrf[data.point[refined.is_inlier]] = True
+        is_used &= with_lrf
+    problem, state = build_joint_problem(
+        at_optimum, refined.scanners, replace(data, settings=loose), refined.is_inlier, is_used, SquaredLoss()
+    )
+    state = solve(problem, state, EFFORT).state
+    tilts = state.parts[TILTS]
+    assert isinstance(tilts, TiltPart)
+    try:
+        spread = covariance(problem, state).shared[-tilts.size :, -tilts.size :]
+    except LinAlgError:
+        return ()
+    return tuple(_check(settings, tilts, spread, scanner) for scanner in range(settings.n_scanners))
+
+
+def _check(settings: TiltSettings, tilts: TiltPart, spread: FloatArray, scanner: int) -> TiltCheck:
+    reference = settings.reference_settings()[scanner]
+    own = np.flatnonzero((settings.scanner == scanner) & (tilts.columns >= 0))
+    difference = tilts.angle_rad[own] - settings.angle_rad[own]
+    against = np.zeros((len(own), len(settings.angle_rad)))
+    against[np.arange(len(own)), own] = 1.0
+    against[:, reference] -= 1.0
+    columns = tilts.columns[own]
+    total = spread[np.ix_(columns, columns)] + against @ settings.covariance_rad2 @ against.T
+    distance = float(difference @ np.linalg.solve(total, difference)) if len(own) else 0.0
+    return TiltCheck(own, difference, np.sqrt(np.diag(total)), distance)
