@@ -30,7 +30,6 @@ from lrf_stereo.study import (
     accuracy,
     gathered,
     run_once,
-    simulate,
 )
 from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic import LrfSamples, SampleNoise, paper_scene, sample

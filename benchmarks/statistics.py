@@ -156,6 +156,12 @@ def _efficiency(what: str, outcomes: list[Outcome], *, has_outliers: bool) -> It
         row = within(f"{what}: RMS error of {name} / Cramér–Rao bound", float(ratio), 0.95, 1.05, note=note)
         # With false detections the bound is that of knowing the inliers, and the fit of these is the measure, below.
         yield replace(row, reach="", is_met=None) if has_outliers else row
+    in_c0 = np.sqrt(
+        np.mean([(one.centre_in_c0_m**2).sum() for one in outcomes])
+        / np.mean([np.trace(one.stated[:, CENTRE, CENTRE], axis1=1, axis2=2).sum() for one in outcomes])
+    )
+    note = "not judged: one mode, the scale from the short baseline, dominates"
+    yield Row(f"{what}: the same of the centres in the frame of C0", f"{in_c0:.3f}", "", None, note)
 
 
 def _coverage(what: str, outcomes: list[Outcome]) -> Row:
