@@ -14,7 +14,16 @@ from pathlib import Path
 from benchmarks.report import Row, Run, markdown_table
 from network_calib.errors import SpotcalError
 
-NAMES = ("recordings", "against_colmap_sfm", "engine", "statistics", "growth", "lrf_accuracy", "lrf_projection", "startup")
+NAMES = (
+    "recordings",
+    "against_colmap_sfm",
+    "engine",
+    "statistics",
+    "growth",
+    "lrf_accuracy",
+    "lrf_projection",
+    "startup",
+)
 
 
 def main() -> int:

@@ -160,8 +160,8 @@ def _efficiency(what: str, outcomes: list[Outcome], *, has_outliers: bool) -> It
         np.mean([(one.centre_in_c0_m**2).sum() for one in outcomes])
         / np.mean([np.trace(one.stated[:, CENTRE, CENTRE], axis1=1, axis2=2).sum() for one in outcomes])
     )
-    note = "not judged: one mode, the scale from the short baseline, dominates"
-    yield Row(f"{what}: the same of the centres in the frame of C0", f"{in_c0:.3f}", "", None, note)
+    measured = f"{in_c0:.3f} (not judged: one mode, the scale from the short baseline, dominates)"
+    yield Row(f"{what}: the same of the centres in the frame of C0", measured)
 
 
 def _coverage(what: str, outcomes: list[Outcome]) -> Row:
