@@ -21,6 +21,7 @@ from network_calib.assess import Assessed, Optimum, assess
 from network_calib.calibrate import InputId, calibration_of, find_optimum, now_utc, program_version, provenance_of
 from network_calib.errors import DegenerateError, InputError
 from network_calib.evaluate import with_cameras
+from network_calib.gauge import Similarity
 from network_calib.observations import FloatArray, Observations
 from network_calib.optimum import Progress
 from network_calib.refine import MIN_SIGMA_PX
@@ -31,6 +32,8 @@ from network_calib.spots import SpotViews, locate, located
 # Ranges to spots that stand closer together than this say little of the scale.
 MIN_DISTANCE_M = 0.3
 MIN_DISTANCES = 10
+# A baseline that is wrong by more than this many of its own sigma is wrong, and the registration says so.
+MAX_SCALE_SIGMA = 5.0
 
 
 def calibrate_with_lrfs(
@@ -68,7 +71,7 @@ def calibrate_with_lrfs(
     assessed = assess(found, anchor=metric, options=options, seed=seed, progress=report)
     baseline = None if isinstance(anchor, UnitScale) else _baseline(assessed, anchor)
     report("cameras and LRFs together", 0.97)
-    network = _network(assessed, baseline)
+    network = _started(_network(assessed, baseline), assessed.world.scale_sigma, lrfs)
     solved = calibrate_lrfs(
         network, lrfs.spots, lrfs.settings,
         rng=np.random.default_rng(seed), instrument=lrfs.instrument, rejection=options.rejection,
@@ -197,6 +200,22 @@ def _network(assessed: Assessed, baseline: KnownDistance | None) -> NetworkData:
         is_held=False,
         baseline=baseline,
     )
+
+
+def _started(network: NetworkData, scale_sigma: float, lrfs: LrfSession) -> NetworkData:
+    """The network in the scale of the ranges, where the anchor's is vague enough to allow for it.
+
+    Registration takes the scale as it is; only the joint solve weighs ranges and baseline.
+    """
+    if scale_sigma <= 0:
+        return network
+    data = LrfData.of(lrfs.spots, lrfs.settings, network.views, lrfs.instrument)
+    factor = scale_by_ranges(network.points, data)
+    if abs(factor - 1) > MAX_SCALE_SIGMA * scale_sigma:
+        return network
+    first = network.cameras.centres_in_world[0]
+    motion = Similarity(factor, np.eye(3), (1 - factor) * first)
+    return replace(network, cameras=motion.apply_to_cameras(network.cameras), points=motion.apply(network.points))
 
 
 def _held_network(calibration: Calibration, observations: Observations, rejection: float) -> NetworkData:

@@ -207,10 +207,10 @@ class RoomConfig(_Strict):
     def _check(self) -> RoomConfig:
         names = [camera.name for camera in self.cameras]
         lrf_names = [lrf.name for lrf in self.lrfs]
-        for kind, given in (("camera", names), ("LRF", lrf_names)):
+        for kind, given in (("camera names", names), ("names of LRFs", lrf_names)):
             twice = sorted({name for name in given if given.count(name) > 1})
             if twice:
-                raise ValueError(f"{kind} names given twice: {', '.join(twice)}")
+                raise ValueError(f"{kind} given twice: {', '.join(twice)}")
         if isinstance(self.anchor, StereoAnchor | DistanceAnchor) and self.anchor.cameras[0] == self.anchor.cameras[1]:
             raise ValueError(f"anchor.cameras names {self.anchor.cameras[0]!r} twice, expected two cameras")
         return self

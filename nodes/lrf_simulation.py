@@ -46,8 +46,8 @@ class LrfPlan:
 
 
 LRF_PLANS = {
-    "paper_setup": LrfPlan(n_room_cameras=0, is_given=True, n_waved=300, n_spots_per_tilt=40),
-    "lrf_room": LrfPlan(n_room_cameras=3, is_given=False, n_waved=600),
+    "paper_setup": LrfPlan(n_room_cameras=0, is_given=True, n_waved=600, n_spots_per_tilt=40),
+    "lrf_room": LrfPlan(n_room_cameras=3, is_given=False, n_waved=900),
     "lrf_room_given": LrfPlan(n_room_cameras=3, is_given=True, n_waved=400),
 }
 

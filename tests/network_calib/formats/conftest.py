@@ -1,11 +1,14 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from network_calib.formats.calibration_json import load
 from network_calib.formats.svoboda import write_svoboda_recording
 from network_calib.observations import Observations
+from network_calib.result import CalibratedLrf
 
 GOLDEN = Path(__file__).parent / "three_cameras.json"
 
@@ -19,6 +22,37 @@ def golden():
 @pytest.fixture
 def calibration():
     return load(GOLDEN)
+
+
+@pytest.fixture
+def lrf_calibration(calibration):
+    """The same cameras with an LRF of arbitrary numbers."""
+    rng = np.random.default_rng(6)
+    root = rng.normal(size=(14, 14)) * 1e-3
+    direction = np.array([0.0, 0.6, 0.8])
+    lrf = CalibratedLrf(
+        name="L0",
+        world_from_lrf=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)),
+        reference_tilt_rad=0.5,
+        axis_direction_in_world=direction,
+        axis_point_in_world=np.array([0.3, 0.8, -0.6]),
+        instrument=np.array([1.001, 0.004, 0.999, 0.0]),
+        covariance=root @ root.T,
+        dx_m=0.04,
+        dz_m=0.06,
+        mount_roll_rad=0.01,
+        mount_yaw_rad=-0.02,
+        paper_sigma=rng.uniform(1e-4, 1e-3, 4),
+        tilt_rad=np.array([0.2, 0.4, 0.9]),
+        tilt_sigma_rad=np.array([0.0, 3e-4, 3e-4]),
+        n_sightings=66,
+        n_inliers=60,
+        range_rms_m=0.004,
+        bearing_rms_rad=0.0017,
+        out_of_plane_rms_m=np.nan,
+        held=("bearing_zero_rad", "tilt_angles"),
+    )
+    return replace(calibration, world=replace(calibration.world, unit="m"), lrfs=(lrf,))
 
 
 @pytest.fixture
