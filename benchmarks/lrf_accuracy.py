@@ -18,8 +18,9 @@ from scipy.stats import chi2
 from benchmarks.lrf_time import time_rows
 from benchmarks.report import Row, Run, at_least, at_most, within
 from lrf_stereo.calibrate import LrfCalibration, calibrate_lrfs
+from lrf_stereo.joint_problem import LrfData, build_joint_problem
 from lrf_stereo.lrf_priors import InstrumentSigma
-from lrf_stereo.refine import LrfData, LrfRefined, build_joint_problem, lrf_covariance
+from lrf_stereo.refine import LrfRefined, lrf_covariance
 from lrf_stereo.scanner import TiltingScanner
 from lrf_stereo.study import (
     PROBE_TILTS_DEG,

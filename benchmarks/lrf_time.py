@@ -12,8 +12,8 @@ from benchmarks.measure import interleaved
 from benchmarks.report import Row, Run, at_most
 from benchmarks.rooms import baseline_of, random_generator, setups_of, solve_once
 from lrf_stereo.calibrate import LrfCalibration, calibrate_lrfs
+from lrf_stereo.joint_problem import NetworkData
 from lrf_stereo.noise import LrfNoise
-from lrf_stereo.refine import NetworkData
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.scanner import ScanSteps, TiltingScanner
 from lrf_stereo.study import StudySetup, simulate

@@ -10,7 +10,7 @@ The paper is Aliakbarpour, Núñez, Prado, Khoshhal, Dias, "An Efficient Algorit
     10-13   the tilt axis: the paper's circle, and the screw                       tilt_axis.py
     IV      the paper's sequence as printed                                        paper.py
     V       joint maximum likelihood with all cameras                              calibrate.py, network.py, refine.py,
-                                                                                   lrf_block.py, lrf_priors.py
+                                                                                   joint_problem.py, lrf_block.py
     14      laser points into every camera, with covariance                        projection.py (beams.py, pixel_*.py)
 
 Deliberate deviations of the joint method, with the reason:

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lrf_stereo.joint_problem import LrfData, NetworkData
 from lrf_stereo.lrf_doubts import lrf_doubts
 from lrf_stereo.lrf_priors import InstrumentSigma
 from lrf_stereo.one_sided import with_common_height
 from lrf_stereo.paper import PlaneSamples, calibrate_screw
-from lrf_stereo.refine import LrfCovariance, LrfData, LrfRefined, NetworkData, lrf_covariance, refine_jointly
+from lrf_stereo.refine import LrfCovariance, LrfRefined, lrf_covariance, refine_jointly
 from lrf_stereo.rigid import PointNoise
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.scanner import TiltingScanner

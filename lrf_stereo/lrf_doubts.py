@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lrf_stereo.joint_problem import LrfData, NetworkData
 from lrf_stereo.one_sided import common_height_sigma_m
-from lrf_stereo.refine import LrfData, LrfRefined, NetworkData
+from lrf_stereo.refine import LrfRefined
 from lrf_stereo.tilt_check import TiltCheck, check_tilts
 from network_calib.result import Doubt
 

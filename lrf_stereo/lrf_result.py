@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lrf_stereo.calibrate import LrfCalibration
+from lrf_stereo.joint_problem import LrfData, NetworkData
 from lrf_stereo.lrf_block import TILTS
-from lrf_stereo.refine import LrfData, NetworkData
 from lrf_stereo.scanner import TiltingScanner
 from lrf_stereo.scanner_part import N_GEOMETRY, N_SCANNER, SCANNER_TANGENT, ScannerPart, TiltPart
 from lrf_stereo.session import LrfSession

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from lrf_stereo.calibrate import LrfCalibration, calibrate_lrfs
+from lrf_stereo.joint_problem import LrfData, NetworkData
 from lrf_stereo.lrf_result import calibrated_lrfs
-from lrf_stereo.refine import LrfData, NetworkData
 from lrf_stereo.session import LrfSession
 from network_calib.assess import Assessed, Optimum, assess
 from network_calib.calibrate import InputId, calibration_of, find_optimum, now_utc, program_version, provenance_of

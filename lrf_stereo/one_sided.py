@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from lrf_stereo.joint_problem import LrfData
 from lrf_stereo.lrf_block import SCANNERS
-from lrf_stereo.refine import LrfCovariance, LrfData, LrfRefined
+from lrf_stereo.refine import LrfCovariance, LrfRefined
 from lrf_stereo.scanner_part import N_SCANNER, ScannerPart
 from network_calib.camera_block import cameras_of
 from network_calib.observations import BoolArray, FloatArray

@@ -13,9 +13,9 @@ from enum import StrEnum
 import numpy as np
 
 from lrf_stereo.calibrate import calibrate_lrfs, plane_samples
+from lrf_stereo.joint_problem import LrfData
 from lrf_stereo.lrf_priors import InstrumentSigma
 from lrf_stereo.paper import calibrate_paper, calibrate_screw
-from lrf_stereo.refine import LrfData
 from lrf_stereo.scanner import TiltingScanner
 from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic import LrfScene, SampleNoise, paper_scene, sample, spots_on_plane

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lrf_stereo.refine import NetworkData
+from lrf_stereo.joint_problem import NetworkData
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.synthetic import LrfSamples, LrfScene
 from network_calib.observations import BoolArray

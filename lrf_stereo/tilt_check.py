@@ -12,8 +12,9 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.stats import chi2
 
+from lrf_stereo.joint_problem import LrfData, NetworkData, build_joint_problem
 from lrf_stereo.lrf_block import TILTS
-from lrf_stereo.refine import LrfData, LrfRefined, NetworkData, build_joint_problem
+from lrf_stereo.refine import LrfRefined
 from lrf_stereo.samples import TiltSettings
 from lrf_stereo.scanner_part import TiltPart
 from network_calib.bundle import SolverOptions, covariance, solve

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lrf_stereo.joint_problem import LrfData
 from lrf_stereo.lrf_priors import InstrumentSigma
 from lrf_stereo.lrf_result import paper_numbers, paper_sigma
 from lrf_stereo.network import add_lrfs, calibrate_with_lrfs, scale_by_ranges
-from lrf_stereo.refine import LrfData
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.scanner import TiltingScanner
 from lrf_stereo.session import LrfSession

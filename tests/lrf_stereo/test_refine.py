@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from lrf_stereo.joint_problem import LrfData
 from lrf_stereo.lrf_priors import InstrumentSigma
-from lrf_stereo.refine import LrfData, lrf_covariance, refine_jointly
+from lrf_stereo.refine import lrf_covariance, refine_jointly
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic import LrfSamples, SampleNoise, paper_scene, sample, spots_on_plane
