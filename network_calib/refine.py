@@ -92,7 +92,7 @@ def refine(
         tolerance_px: within which observations agree with the start.
 
     Raises:
-        ConvergenceError: fewer than half of the cameras' observations agree, or the solve fails.
+        ConvergenceError: fewer than three observations per camera agree, or the solve fails.
     """
     cameras = _tied(setups, cameras)
     limit_px = np.full(len(views.camera), tolerance_px)
