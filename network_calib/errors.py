@@ -4,7 +4,9 @@
     ├── InputError                a file, table or configuration cannot be used as it is
     ├── DegenerateError           the geometry does not determine the answer; says where to wave next
     │   └── FlatError             the spot moved in a plane or along a line
-    └── ConvergenceError          the solve did not reach an optimum worth reporting
+    ├── ConvergenceError          the solve did not reach an optimum worth reporting
+    └── DeviceError               a device cannot be opened, or answers what it must not (`nodes.devices.errors`)
+        └── SourceError           a camera, video or folder of images
 
 The command line prints `message` and `advice` and exits with status 2; anything else that escapes is a defect.
 """
