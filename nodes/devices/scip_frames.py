@@ -77,6 +77,13 @@ def encode_number(value: int, n_characters: int) -> str:
     return "".join(chr((value >> shift & 0x3F) + 0x30) for shift in range(6 * (n_characters - 1), -1, -6))
 
 
+def encode_numbers(values: IntArray, n_characters: int) -> str:
+    """Numbers (n,) one after another; what does not fit is cut to the greatest that does."""
+    shifts = np.arange(6 * (n_characters - 1), -1, -6)
+    kept = np.clip(values, 0, (1 << 6 * n_characters) - 1)
+    return ((kept[:, None] >> shifts & 0x3F) + 0x30).astype(np.uint8).tobytes().decode("ascii")
+
+
 def decode_numbers(text: str, n_characters: int) -> IntArray:
     """(n,) the numbers in a text.
 

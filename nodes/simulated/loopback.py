@@ -12,6 +12,8 @@ from nodes.devices.transport import MAX_READ_BYTES
 from nodes.simulated.emulator import Emulator
 from nodes.simulated.line_faults import LineFaults
 
+OVERDUE_S = 1e-3
+
 
 @dataclass(slots=True)
 class VirtualClock:
@@ -46,7 +48,8 @@ class LoopbackTransport:
             if self._waiting or self._clock() >= end_s:
                 break
             due_s = min(self._emulator.next_due_s(), self._next_fault_s(), end_s)
-            self._clock.now_s = max(due_s, math.nextafter(self._clock(), math.inf))
+            # What is due and does not come is waited for as for a slow device, not for ever at this instant.
+            self._clock.now_s = due_s if due_s > self._clock() else min(self._clock() + OVERDUE_S, end_s)
         out, self._waiting = self._waiting[:MAX_READ_BYTES], self._waiting[MAX_READ_BYTES:]
         return out
 
