@@ -84,6 +84,13 @@ class TiltMotion:
                 return float(move.position(time_s))
         return self._moves[0].begin if self._moves else 0.0
 
+    def rests_since_s(self, time_s: float) -> float:
+        """When the motion before a time ended: infinite when it has not, and when there was none."""
+        for move in reversed(self._moves):
+            if move.begin_s <= time_s:
+                return move.end_s if move.end_s <= time_s else math.inf
+        return math.inf
+
     @property
     def end_s(self) -> float:
         """When the last move ends; minus infinity before the first."""

@@ -85,6 +85,10 @@ class TiltUnitDevice:
         axis = self._axes["T"]
         return -axis.model.arcsec_per_step * ARCSEC_RAD * (axis.motion.load(time_s) + self._slipped)
 
+    def rests_since_s(self, time_s: float) -> float:
+        """When the tilt axis came to rest; infinite while it moves, and before its first move."""
+        return self._axes["T"].motion.rests_since_s(time_s)
+
     def connect(self, now_s: float) -> None:
         """A client is there."""
         self._heard = ""
