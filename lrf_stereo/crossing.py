@@ -7,7 +7,7 @@ last, and its middle is where the centre was in the plane, whichever way the bal
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,10 @@ HALF_BEAM_RAD = 5e-3
 SPEED_CHANGE = 0.2
 MAX_SPEED_M_S = 1.0
 MAX_MISSED_SCANS = 1
+# Between the last scan without the ball and the first with it lies one turn, unless scans were lost.
+MAX_TURNS = 1.5
+# What holds the ball follows it into the plane within so long.
+LONELY_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,10 @@ class Crossings:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def select(self, is_kept: BoolArray) -> Crossings:
+        """The runs where `is_kept` (R,) holds."""
+        return replace(self, **{name: getattr(self, name)[is_kept] for name in self.__slots__})
+
     @property
     def is_two_sided(self) -> BoolArray:
         """(R,) whether the ball is known to have passed the plane."""
@@ -79,6 +87,7 @@ def crossings(
     ball_diameter_m: float = BALL_DIAMETER_M,
     max_pair_gap_s: float = 5.0,
     max_pair_distance_m: float = 0.15,
+    is_held_from_below: bool = False,
 ) -> Crossings:
     """Runs of hits in a series of scans, and what each says of the spot's position.
 
@@ -94,6 +103,9 @@ def crossings(
         ball_diameter_m: of the spot.
         max_pair_gap_s: longest time from a rising to a falling run.
         max_pair_distance_m: how far apart in the plane they may be.
+        is_held_from_below: the ball is the top of what is held: it enters the plane before the rod, hand and arm below
+            it, and leaves it after them. Only runs that come first may then be rising ones, only runs that come last
+            falling ones, and runs of a single scan neither.
 
     Raises:
         InputError: a candidate's scan has no stamp, or stamps do not grow.
@@ -103,7 +115,10 @@ def crossings(
     if (np.diff(stamp_s) <= 0).any():
         raise InputError("stamps of scans must grow")
     runs = [_Run.of(candidates, rows, stamp_s, steps, upward) for rows in _linked(candidates, stamp_s)]
-    pair, direction = _pairs(runs, max_pair_gap_s, max_pair_distance_m, is_direction_known=upward is not None)
+    may_rise, may_fall = _ends(runs) if is_held_from_below else (np.ones(len(runs), dtype=bool),) * 2
+    pair, direction = _pairs(
+        runs, may_rise, may_fall, max_pair_gap_s, max_pair_distance_m, is_direction_known=upward is not None
+    )
     is_passed = np.array([run.is_closed and d != 0 for run, d in zip(runs, direction, strict=True)], dtype=bool)
     n_scans = np.array([run.n_scans for run in runs], dtype=np.int64)
     middle = np.array([(run.begin_s + run.end_s) / 2 for run in runs])
@@ -173,13 +188,15 @@ class _Run:
             way = way[np.isfinite(way)]
             travel = float(np.abs(np.diff(way)).sum())
             rise = float(way[-1] - way[0]) / travel if travel > 0 else 0.0
+        # Scans that were lost at an end leave it open when that was.
+        gaps_s = max(float(stamp_s[first] - stamp_s[before]), float(stamp_s[after] - stamp_s[last]))
         n = len(rows)
         return cls(
             begin_s=float(stamp_s[before] + stamp_s[first]) / 2 + delay,
             end_s=float(stamp_s[last] + stamp_s[after]) / 2 + delay,
             first_s=float(stamp_s[first]) + delay,
             n_scans=last - first + 1,
-            is_closed=before < first and after > last,
+            is_closed=before < first and after > last and gaps_s <= MAX_TURNS * steps.turn_s,
             range_m=float(np.median(hits.range_m)),
             bearing_rad=float(np.median(hits.bearing_rad)),
             sigma_beams_m=float(np.sqrt((hits.sigma_range_m**2).sum()) / n),
@@ -229,8 +246,26 @@ def _linked(candidates: SpotCandidates, stamp_s: FloatArray) -> list[IntArray]:
     return [np.array(run) for run in sorted(done + open_runs, key=lambda run: (candidates.scan[run[0]], run[0]))]
 
 
+def _ends(runs: list[_Run]) -> tuple[BoolArray, BoolArray]:
+    """(R,) which runs of several scans have none shortly before them, and which none shortly after."""
+    begin = np.array([run.begin_s for run in runs])
+    end = np.array([run.end_s for run in runs])
+    is_long = np.array([run.n_scans > 1 for run in runs], dtype=bool)
+    reaches = is_long[:, None] & is_long & ~np.eye(len(runs), dtype=bool)
+    # Rows: the run in question; columns: one that is in the plane just before it begins, or just after it ends.
+    is_before = reaches & (begin < begin[:, None]) & (end > begin[:, None] - LONELY_S)
+    is_after = reaches & (end > end[:, None]) & (begin < end[:, None] + LONELY_S)
+    return is_long & ~is_before.any(axis=1), is_long & ~is_after.any(axis=1)
+
+
 def _pairs(
-    runs: list[_Run], max_gap_s: float, max_distance_m: float, *, is_direction_known: bool
+    runs: list[_Run],
+    may_rise: BoolArray,
+    may_fall: BoolArray,
+    max_gap_s: float,
+    max_distance_m: float,
+    *,
+    is_direction_known: bool,
 ) -> tuple[IntArray, IntArray]:
     """(R,) pair numbers, and (R,) directions: +1 up, -1 down, 0 unknown.
 
@@ -241,7 +276,7 @@ def _pairs(
     pair = np.full(len(runs), -1)
     n_pairs = 0
     for i, rising in enumerate(runs):
-        if pair[i] >= 0 or not rising.is_closed or (is_direction_known and direction[i] != 1):
+        if pair[i] >= 0 or not (rising.is_closed and may_rise[i]) or (is_direction_known and direction[i] != 1):
             continue
         for j in range(i + 1, len(runs)):
             falling = runs[j]
@@ -249,6 +284,7 @@ def _pairs(
             is_later = 0 < falling.begin_s - rising.end_s <= max_gap_s
             if (
                 pair[j] < 0
+                and may_fall[j]
                 and is_back
                 and is_later
                 and falling.is_closed

@@ -24,6 +24,7 @@ RESET_TIMEOUT_S = 40.0
 # A move is given this many times the time that it needs by the unit's own speed, and some seconds.
 PATIENCE, PATIENCE_S = 2.0, 3.0
 MAX_REPLY_BYTES = 4096
+POLL_S = 0.05
 LIMIT_HIT = re.compile(r"!([TP])(?![A-Za-z ])")
 REPLY = re.compile(r"[*!][^*!\r\n]*[\r\n]")
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
@@ -73,8 +74,11 @@ class TiltUnitInfo:
 class TiltDrive(Protocol):
     """What tilts the scanner."""
 
-    def go_to(self, tilt_rad: float) -> int | None:
-        """Move there and wait; the position in steps as read back, or None where nothing counts steps."""
+    def go_to(self, tilt_rad: float, *, meanwhile: Callable[[], None] | None = None) -> int | None:
+        """Move there and wait; the position in steps as read back, or None where nothing counts steps.
+
+        `meanwhile` is called again and again until the move is over: other devices want to be read.
+        """
         ...
 
     def steps(self) -> int | None:
@@ -85,9 +89,9 @@ class TiltDrive(Protocol):
 class NullTiltUnit:
     """No tilt unit: somebody tilts the LRF by hand, and the IMU alone tells the angle."""
 
-    def go_to(self, tilt_rad: float) -> int | None:
+    def go_to(self, tilt_rad: float, *, meanwhile: Callable[[], None] | None = None) -> int | None:
         """Nothing moves by itself."""
-        del tilt_rad
+        del tilt_rad, meanwhile
 
     def steps(self) -> int | None:
         """Nothing counts."""
@@ -113,9 +117,9 @@ class TiltUnit:
         options: TiltUnitOptions | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._line, self._clock, self._options = transport, clock, options or TiltUnitOptions()
-        if self._options.tilt_sign not in (-1, 1):
-            raise InputError(f"tilt sign {self._options.tilt_sign}, expected -1 (positions grow upwards) or 1")
+        self._line, self._clock, self.options = transport, clock, options or TiltUnitOptions()
+        if self.options.tilt_sign not in (-1, 1):
+            raise InputError(f"tilt sign {self.options.tilt_sign}, expected -1 (positions grow upwards) or 1")
         self._text = ""
         self._info: TiltUnitInfo | None = None
         self.n_limit_hits = 0
@@ -131,13 +135,13 @@ class TiltUnit:
         # The first command ends whatever half command a predecessor left; its answer may be an error.
         self._line.write(b" ")
         self._drain()
-        for command in ("ED", "FT", "CI", "I", "LE" if self._options.obeys_limits else "LD"):
+        for command in ("ED", "FT", "CI", "I", "LE" if self.options.obeys_limits else "LD"):
             self._command(command)
         resolution = self._number("TR")
         if not resolution > 0:
             raise DeviceError(f"{self._line.name}: the tilt unit says its resolution is {resolution} arcsec")
-        if self._options.speed_rad_s is not None:
-            self._command(f"TS{round(self._options.speed_rad_s / (resolution * ARCSEC_RAD))}")
+        if self.options.speed_rad_s is not None:
+            self._command(f"TS{round(self.options.speed_rad_s / (resolution * ARCSEC_RAD))}")
         self._info = TiltUnitInfo(
             arcsec_per_step=resolution,
             low_steps=int(self._number("TN")),
@@ -158,33 +162,37 @@ class TiltUnit:
     def steps_of(self, tilt_rad: float) -> int:
         """The position nearest to a tilt angle."""
         step_rad = self.info.arcsec_per_step * ARCSEC_RAD
-        return self._options.zero_steps + round(self._options.tilt_sign * tilt_rad / step_rad)
+        return self.options.zero_steps + round(self.options.tilt_sign * tilt_rad / step_rad)
 
     def tilt_rad_of(self, steps: float) -> float:
         """The tilt angle of a position."""
         step_rad = self.info.arcsec_per_step * ARCSEC_RAD
-        return self._options.tilt_sign * step_rad * (steps - self._options.zero_steps)
+        return self.options.tilt_sign * step_rad * (steps - self.options.zero_steps)
 
-    def go_to(self, tilt_rad: float) -> int:
+    def go_to(self, tilt_rad: float, *, meanwhile: Callable[[], None] | None = None) -> int:
         """Move to a tilt angle from below it, wait until the unit rests; the position as read back.
+
+        Args:
+            tilt_rad: where to.
+            meanwhile: called about every POLL_S until the move is over.
 
         Raises:
             InputError: the angle is beyond the unit's limits, and they are obeyed.
             DeviceError: the unit ran into a limit or did not arrive.
         """
         target, info = self.steps_of(tilt_rad), self.info
-        if self._options.obeys_limits and not info.low_steps <= target <= info.high_steps:
+        if self.options.obeys_limits and not info.low_steps <= target <= info.high_steps:
             ends = sorted(math.degrees(self.tilt_rad_of(end)) for end in (info.low_steps, info.high_steps))
             raise InputError(
                 f"tilt of {math.degrees(tilt_rad):.2f} deg, but the tilt unit reaches {ends[0]:.2f} to {ends[1]:.2f}",
                 advice="Choose other tilt angles, or mount the unit differently.",
             )
-        before = self.steps_of(tilt_rad - self._options.approach_rad)
-        if self._options.obeys_limits:
+        before = self.steps_of(tilt_rad - self.options.approach_rad)
+        if self.options.obeys_limits:
             before = min(max(before, info.low_steps), info.high_steps)
         if before != target:
-            self._move(before)
-        return self._move(target)
+            self._move(before, meanwhile)
+        return self._move(target, meanwhile)
 
     def steps(self) -> int:
         """The position now."""
@@ -198,12 +206,12 @@ class TiltUnit:
         """Stop at once."""
         self._command("H")
 
-    def _move(self, target: int) -> int:
+    def _move(self, target: int, meanwhile: Callable[[], None] | None) -> int:
         hits, info = self.n_limit_hits, self.info
         way, speed = abs(target - self.steps()), max(info.speed_steps_s, 1.0)
         needed_s = way / speed + speed / max(info.acceleration_steps_s2, 1.0)
         self._command(f"TP{target}")
-        self._command("A", timeout_s=PATIENCE * needed_s + PATIENCE_S)
+        self._command("A", timeout_s=PATIENCE * needed_s + PATIENCE_S, meanwhile=meanwhile)
         arrived = self.steps()
         if self.n_limit_hits > hits:
             raise DeviceError(
@@ -221,7 +229,9 @@ class TiltUnit:
             raise DeviceError(f"{self._line.name}: the tilt unit answers {query} by {reply!r}, expected a number")
         return float(found[0])
 
-    def _command(self, command: str, *, timeout_s: float = REPLY_TIMEOUT_S) -> str:
+    def _command(
+        self, command: str, *, timeout_s: float = REPLY_TIMEOUT_S, meanwhile: Callable[[], None] | None = None
+    ) -> str:
         """What stands behind the `*` of the reply."""
         self._line.write(f"{command} ".encode("ascii"))
         end_s = self._clock() + timeout_s
@@ -235,7 +245,10 @@ class TiltUnit:
                     f"{self._line.name}: no answer from the tilt unit to {command} within {timeout_s:.0f} s",
                     advice=f"Is this the tilt unit's port, and its speed {BAUD} baud?",
                 )
-            self._text = (self._text + self._line.read(left_s).decode("ascii", errors="replace"))[-MAX_REPLY_BYTES:]
+            heard = self._line.read(left_s if meanwhile is None else min(left_s, POLL_S))
+            self._text = (self._text + heard.decode("ascii", errors="replace"))[-MAX_REPLY_BYTES:]
+            if meanwhile is not None:
+                meanwhile()
         if reply.startswith("!"):
             raise DeviceError(f"{self._line.name}: the tilt unit refuses {command}: {reply[1:].strip()}")
         return reply[1:].strip()

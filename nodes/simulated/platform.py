@@ -20,7 +20,8 @@ from network_calib.observations import FloatArray, IntArray
 from nodes.simulated.tilt_unit_device import TiltUnitDevice
 
 N_PLACES = 64
-ROD_RADIUS_M, ARM_RADIUS_M = 0.006, 0.045
+# A rod of 3 mm: thicker ones are seen by the scanner at two metres and taken for parts of the spot.
+ROD_RADIUS_M, ARM_RADIUS_M = 0.0015, 0.045
 # The spot's ball and its rod are in the hand, and the arm hangs below.
 ROD_M, ARM_M = 0.35, 0.5
 
