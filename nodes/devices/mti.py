@@ -172,6 +172,16 @@ class Mti:
         self._command(Mid.GO_TO_MEASUREMENT)
         self._sequence.restart()
 
+    def identify(self) -> str:
+        """The device's number; it does not measure afterwards.
+
+        Raises:
+            DeviceError: it does not answer.
+            LineLostError: it is gone.
+        """
+        self._command(Mid.GO_TO_CONFIG)
+        return (self._command(Mid.REQUEST_DEVICE_ID) or b"").hex().upper()
+
     def read(self, timeout_s: float) -> list[ImuSample]:
         """The samples that have come; waits for bytes at most so long.
 

@@ -149,10 +149,21 @@ class Scip:
         return 1 / self._fit.line().gain if self._counts.scans else None
 
     def start(self) -> ScannerInfo:
-        """Bring the scanner into SCIP 2, read what it is, learn its clock, let it scan.
+        """Bring the scanner into SCIP 2, read what it is, let it scan.
 
         Raises:
             DeviceError: no answer, no scanner's answers, or a fault that it tells of.
+            LineLostError: it is gone.
+        """
+        info = self.identify()
+        self._stream()
+        return info
+
+    def identify(self) -> ScannerInfo:
+        """Read what the scanner is; its laser is off afterwards.
+
+        Raises:
+            DeviceError: no answer, or no scanner's answers.
             LineLostError: it is gone.
         """
         self._quiet()
@@ -167,7 +178,6 @@ class Scip:
             steps=steps,
             status=state.get("STAT", "unknown"),
         )
-        self._stream()
         return self._info
 
     def resume(self, transport: Transport) -> ScannerInfo:
