@@ -170,6 +170,10 @@ class ScipDevice:
             self._obey_scip1(command, now_s)
         elif len(string) > MAX_STRING:
             self._answer(command, "0G", now_s)
+        elif body == "%ST" and self._model.has_intensity:
+            # Standby, adjusting time, single scans, a stream.
+            state = "002" if self._is_timing else "004" if self._stream else "003" if self._is_laser_on else "000"
+            self._answer(command, "00", now_s, (_summed(state),))
         elif self._is_timing and not body.startswith("TM"):
             self._answer(command, "0B", now_s)
         elif body in ("VV", "PP", "II"):

@@ -101,14 +101,14 @@ class TiltUnitDevice:
         self._out.clear()
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Commands, ended by a space or CR; LF counts as nothing."""
+        """Commands, ended by a space, CR or (as the network models take it) LF."""
         for character in data.decode("ascii", errors="replace"):
             if self._is_echoing:
                 self._post(character, now_s)
-            if character in " \r":
+            if character in " \r\n":
                 self._obey(self._heard.upper(), now_s)
                 self._heard = ""
-            elif character != "\n":
+            else:
                 self._heard = (self._heard + character)[-MAX_COMMAND_BYTES:]
 
     def send(self, now_s: float) -> bytes:
