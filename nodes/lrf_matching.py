@@ -1,0 +1,79 @@
+"""Crossings that an LRF node acquired, joined to the frames in which the cameras saw the spot at nearly that time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lrf_stereo.samples import LrfSpots, TiltSettings
+from network_calib.errors import InputError
+from network_calib.observations import FloatArray, IntArray
+from nodes.lrf_node import Acquired
+
+# Of a frame's period: a crossing farther from any frame fell into a gap of the cameras' recording.
+MAX_PERIODS = 1.0
+
+
+def lrf_spots(acquired: Acquired, frames: IntArray, stamps_s: FloatArray, *, first_setting: int = 0) -> LrfSpots:
+    """The crossings with the number of the nearest frame, and their delay from it.
+
+    Args:
+        acquired: of one LRF.
+        frames: (F,) numbers of the cameras' frames.
+        stamps_s: (F,) their times on the clock of the LRF node, growing.
+        first_setting: number of this LRF's first tilt among all LRFs' settings.
+
+    Raises:
+        InputError: fewer than two frames, stamps that do not grow, or no crossing near a frame.
+    """
+    if len(frames) < 2 or (np.diff(stamps_s) <= 0).any():
+        raise InputError(f"{len(frames)} camera frames with stamps, expected two or more that grow")
+    parts = [setting.crossings for setting in acquired.settings]
+    setting = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    time_s = np.concatenate([part.time_s for part in parts])
+    after = np.clip(np.searchsorted(stamps_s, time_s), 1, len(stamps_s) - 1)
+    nearest = np.where(time_s - stamps_s[after - 1] < stamps_s[after] - time_s, after - 1, after)
+    delay_s = time_s - stamps_s[nearest]
+    is_near = np.abs(delay_s) <= MAX_PERIODS * float(np.median(np.diff(stamps_s)))
+    if not is_near.any():
+        raise InputError(
+            "no crossing lies near a frame of the cameras in time",
+            advice="Do the clocks of the LRF node and of the cameras agree? Synchronise them, and record again.",
+        )
+    found = LrfSpots(
+        frame=frames[nearest],
+        setting=setting + first_setting,
+        range_m=np.concatenate([part.range_m for part in parts]),
+        bearing_rad=np.concatenate([part.bearing_rad for part in parts]),
+        out_of_plane_m=np.zeros(len(time_s)),
+        sigma_range_m=np.concatenate([part.sigma_range_m for part in parts]),
+        sigma_bearing_rad=np.concatenate([part.sigma_bearing_rad for part in parts]),
+        sigma_out_of_plane_m=np.concatenate([part.sigma_out_of_plane_m for part in parts]),
+        bias_bound_m=np.concatenate([part.bias_bound_m for part in parts]),
+        delay_s=np.where(is_near, delay_s, 0.0),
+    )
+    return found.select(is_near & _is_first(found))
+
+
+def _is_first(spots: LrfSpots) -> np.ndarray:
+    """(M,) of sightings in one frame at one tilt only the first: the solve takes one."""
+    _, first = np.unique(np.stack([spots.frame, spots.setting]), axis=1, return_index=True)
+    out = np.zeros(len(spots), dtype=bool)
+    out[first] = True
+    return out
+
+
+def tilt_settings(acquired: Sequence[Acquired]) -> TiltSettings:
+    """The tilts of one or more LRFs, one after the other; those of different LRFs are independent."""
+    sizes = [len(one.settings) for one in acquired]
+    covariance = np.zeros((sum(sizes), sum(sizes)))
+    begin = 0
+    for one, size in zip(acquired, sizes, strict=True):
+        covariance[begin : begin + size, begin : begin + size] = one.tilts.tilts.covariance_rad2
+        begin += size
+    return TiltSettings(
+        scanner=np.repeat(np.arange(len(sizes)), sizes),
+        angle_rad=np.concatenate([one.tilts.tilts.angle_rad for one in acquired]),
+        covariance_rad2=covariance,
+    )
