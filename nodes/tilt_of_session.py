@@ -44,7 +44,7 @@ class StepCounts:
         tilt_sign: -1 where positions grow upwards.
     """
 
-    steps: IntArray
+    steps: IntArray | FloatArray
     arcsec_per_step: float
     zero_steps: int = 0
     tilt_sign: int = -1
@@ -72,6 +72,7 @@ def session_tilts(
     imu: ImuSeries | None = None,
     axis_in_imu: FloatArray = PAPER_AXIS,
     noise: ImuNoise | None = None,
+    with_gravity: bool = True,
 ) -> SessionTilts:
     """Fuse what there is. Where the steps contradict the IMU, the unit lost steps, and the IMU alone is believed.
 
@@ -81,6 +82,7 @@ def session_tilts(
         imu: if there is one.
         axis_in_imu: (3,) the tilt axis in the IMU's axes.
         noise: of the IMU.
+        with_gravity: whether the accelerometer is believed; not on a platform that shakes.
 
     Raises:
         InputError: neither steps nor IMU, or IMU samples that do not cover the moves.
@@ -96,21 +98,24 @@ def session_tilts(
         if by_steps is None:
             raise InputError("one tilt setting and no tilt unit: nothing to measure")
         return SessionTilts(by_steps, ("steps",))
-    gravity = gravity_tilts(
-        imu.acceleration_m_s2, imu.stamp_s, _labels(imu.stamp_s, rests_s), axis_in_imu=axis_in_imu, noise=noise
-    )
+    gravity = None
+    if with_gravity:
+        gravity = gravity_tilts(
+            imu.acceleration_m_s2, imu.stamp_s, _labels(imu.stamp_s, rests_s), axis_in_imu=axis_in_imu, noise=noise
+        )
+    sources = (*(("gravity",) if with_gravity else ()), "gyroscope")
     gyro = _moves(imu, rests_s, axis_in_imu / np.linalg.norm(axis_in_imu), noise)
     by_imu = fuse_tilts(gravity=gravity, gyro=gyro)
     if by_steps is None:
-        return SessionTilts(by_imu, ("gravity", "gyroscope"), _doubts(by_imu))
+        return SessionTilts(by_imu, sources, _doubts(by_imu))
     fused = fuse_tilts(steps=by_steps, gravity=gravity, gyro=gyro)
     if fused.is_consistent:
-        return SessionTilts(fused, ("steps", "gravity", "gyroscope"))
+        return SessionTilts(fused, ("steps", *sources))
     note = (
         f"the tilt unit's steps contradict the IMU (chi2 {fused.chi2:.0f} for {fused.n_dof}): the unit lost steps, or "
         "the IMU moved on its mount; the angles are the IMU's alone"
     )
-    return SessionTilts(by_imu, ("gravity", "gyroscope"), (note, *_doubts(by_imu)))
+    return SessionTilts(by_imu, sources, (note, *_doubts(by_imu)))
 
 
 def _doubts(by_imu: Tilts) -> tuple[str, ...]:
