@@ -20,7 +20,7 @@ from lrf_stereo.crossing import Crossings, crossings
 from lrf_stereo.scan_spot import Background, SpotCandidates, find_spots, ranges_m
 from lrf_stereo.scanner import ScanSteps
 from network_calib.errors import InputError
-from network_calib.observations import FloatArray, IntArray
+from network_calib.observations import BoolArray, FloatArray, IntArray
 
 # Crossings are looked for anew after so many scans.
 SCANS_BETWEEN_LOOKS = 10
@@ -210,7 +210,8 @@ class Acquisition:
             ball_diameter_m=self._options.ball_diameter_m,
             is_held_from_below=True,
         )
-        setting.found = found.select(found.pair >= 0)
+        found = found.select(found.pair >= 0)
+        setting.found = found.select(_is_short(found))
         n, options = len(setting.found), self._options
         is_enough = n >= options.n_crossings and plane_sigma_m(setting.found) <= options.sigma_m
         if is_enough or n >= options.max_crossings:
@@ -247,6 +248,15 @@ def plane_sigma_m(found: Crossings) -> float:
     covariance = np.linalg.inv(information)
     spread = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
     return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max()))
+
+
+def _is_short(found: Crossings) -> BoolArray:
+    """(R,) runs whose pair does not last twice as long as most.
+
+    A longer one is the spot together with what holds it: its middle is not where the spot crossed the plane.
+    """
+    too_long = found.pair[found.n_scans > 2 * np.median(found.n_scans)] if len(found) else found.pair
+    return ~np.isin(found.pair, too_long)
 
 
 def _joined(parts: list[SpotCandidates]) -> SpotCandidates:

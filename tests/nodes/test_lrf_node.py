@@ -1,11 +1,13 @@
 """The acquisition on the emulated platform: scanner, tilt unit and IMU speak their real protocols in virtual time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lrf_stereo.crossing import Crossings
 from network_calib.errors import InputError
-from nodes.acquisition import Acquisition, AcquisitionOptions, Phase, plane_sigma_m
+from nodes.acquisition import Acquisition, AcquisitionOptions, Phase, _is_short, plane_sigma_m
 from nodes.devices.errors import LineLostError
 from nodes.lrf_node import LrfDevices, LrfNode, NullRecorder
 from nodes.simulated.line_faults import LineFaults
@@ -206,6 +208,16 @@ def made_crossings(range_m, bearing_rad):
         sigma_out_of_plane_m=0.004 * ones, bias_bound_m=none, direction=np.ones(n, dtype=np.int64),
         pair=np.arange(n), score=ones,
     )  # fmt: skip
+
+
+def test_a_run_that_lasts_too_long_takes_its_pair_with_it():
+    found = replace(
+        made_crossings([1.0] * 8, [0.0] * 8),
+        n_scans=np.array([3, 4, 4, 3, 4, 20, 4, 8]),
+        pair=np.array([0, 0, 1, 1, 2, 2, 3, 3]),
+    )
+    assert _is_short(found).tolist() == [True] * 4 + [False] * 2 + [True] * 2
+    assert _is_short(made_crossings([], [])).tolist() == []
 
 
 def test_plane_sigma_against_simulated_fits():
