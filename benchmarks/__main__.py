@@ -22,6 +22,11 @@ NAMES = (
     "growth",
     "lrf_accuracy",
     "lrf_projection",
+    "lrf_instruments",
+    "spot_detector",
+    "spot_profile",
+    "detect_end_to_end",
+    "rtsp_4k",
     "startup",
 )
 

@@ -11,6 +11,7 @@ The paper is Aliakbarpour, Núñez, Prado, Khoshhal, Dias, "An Efficient Algorit
     IV      the paper's sequence as printed                                        paper.py
     V       joint maximum likelihood with all cameras                              calibrate.py, network.py, refine.py,
                                                                                    joint_problem.py, lrf_block.py
+            the clock of the scan: the spot moves between exposure and beam        spot_motion.py, sighting_block.py
     14      laser points into every camera, with covariance                        projection.py (beams.py, pixel_*.py)
 
 Deliberate deviations of the joint method, with the reason:

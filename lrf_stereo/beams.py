@@ -54,7 +54,7 @@ class TiltedScanner:
         return np.concatenate([self.origin[:, :, None], self.rotation[:, :, :2]], axis=2)
 
     def factors_of_slopes(self) -> FloatArray:
-        """(T, 42, 5) factors of a beam's terms, whose sums are the derivatives (14, 3) of its end by the scanner."""
+        """(T, 45, 5) factors of a beam's terms, whose sums are the derivatives (15, 3) of its end by the scanner."""
         slope = self._slope_of_terms() @ self._by_scanner()[:, None]
         return slope.transpose(0, 3, 2, 1).reshape(len(slope), -1, 5)
 
@@ -79,7 +79,10 @@ class TiltedScanner:
         return products.transpose(0, 2, 4, 1, 3).reshape(n_tilts, 9, 25)
 
     def _by_scanner(self) -> FloatArray:
-        """(T, 8, 14) derivative of (shift of the mirror, turn about it, range bias, range scale) by the scanner."""
+        """(T, 8, 15) derivative of (shift of the mirror, turn about it, range bias, range scale) by the scanner.
+
+        The clock offset moves no point that stands still: its column stays zero.
+        """
         out = np.zeros((len(self.turn), 8, N_SCANNER))
         basis, arm = across(self.scanner.axis_direction_in_world), self.origin - self.scanner.axis_point_in_world
         out[:, 3:6, 0:3] = self.turn
@@ -146,7 +149,7 @@ class Beams:
         return self._sum(self.tilted.factors_of_ends(), self.terms[:3])
 
     def by_scanner(self) -> FloatArray:
-        """(14, 3, N) derivative of the ends by the scanner's parameters, in the order of SCANNER_TANGENT."""
+        """(15, 3, N) derivative of the ends by the scanner's parameters, in the order of SCANNER_TANGENT."""
         return self._sum(self.tilted.factors_of_slopes(), self.terms).reshape(N_SCANNER, 3, -1)
 
     def covariance(self, factors: FloatArray, noise: LrfNoise | None) -> FloatArray:

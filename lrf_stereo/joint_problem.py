@@ -1,92 +1,30 @@
-"""The joint least-squares problem of cameras, LRFs and tilt angles: its data, its blocks, its gauge."""
+"""The joint least-squares problem of cameras, LRFs and tilt angles: its blocks and its gauge."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from lrf_stereo.lrf_block import SCANNERS, TILTS, LrfBlock
+from lrf_stereo.joint_data import LrfData, NetworkData
+from lrf_stereo.lrf_block import SCANNERS, TILTS
 from lrf_stereo.lrf_priors import DistancePrior, InstrumentPrior, InstrumentSigma, TiltPrior
-from lrf_stereo.samples import LrfSpots, TiltSettings
+from lrf_stereo.samples import TiltSettings
 from lrf_stereo.scanner import TiltingScanner
-from lrf_stereo.scanner_part import N_GEOMETRY, N_SCANNER, ScannerPart, TiltPart
+from lrf_stereo.scanner_part import N_GEOMETRY, ScannerPart, TiltPart
+from lrf_stereo.sighting_block import sighting_block
 from network_calib.blocks import Gauge, Problem, SharedBlock, State
 from network_calib.camera_block import PART, CameraBlock, cameras_of
 from network_calib.camera_parameters import CameraParameters, free_columns
-from network_calib.cameras import Cameras
 from network_calib.gauge import similarity_directions
-from network_calib.observations import BoolArray, FloatArray, IntArray
+from network_calib.observations import BoolArray, IntArray
 from network_calib.priors import lens_prior
 from network_calib.refine import intrinsics_groups
 from network_calib.robust_loss import Loss, SquaredLoss
-from network_calib.room_setup import CameraSetup, Knowledge, KnownDistance
-from network_calib.spots import SpotViews
+from network_calib.room_setup import Knowledge, KnownDistance
 
 # A given baseline without sigma is held to a millionth: exact, as far as anything here can tell.
 MIN_RELATIVE_SIGMA = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkData:
-    """The camera side of a joint solve.
-
-    Attributes:
-        setups: what is known of each camera.
-        cameras: C cameras, metric.
-        views: K camera observations of F spots.
-        points: (F, 3) spots in the cameras' world, NaN where not located.
-        is_inlier: (K,) observations that count.
-        noise: (C,) noise factors.
-        is_held: the cameras are known and stay as they are.
-        baseline: the metric anchor of cameras that are not held; None leaves the scale to the LRFs' ranges.
-    """
-
-    setups: Sequence[CameraSetup]
-    cameras: Cameras
-    views: SpotViews
-    points: FloatArray
-    is_inlier: BoolArray
-    noise: FloatArray
-    is_held: bool
-    baseline: KnownDistance | None
-
-
-@dataclass(frozen=True, slots=True)
-class LrfData:
-    """The LRF side of a joint solve.
-
-    Attributes:
-        spots: M sightings.
-        settings: T tilt settings as measured. A covariance of zero trusts the angles as they are.
-        point: (M,) point index of each sighting's frame in the cameras' views, -1 where they have none.
-        instrument: what the scanners may be wrong by.
-    """
-
-    spots: LrfSpots
-    settings: TiltSettings
-    point: IntArray
-    instrument: InstrumentSigma
-
-    @classmethod
-    def of(cls, spots: LrfSpots, settings: TiltSettings, views: SpotViews, instrument: InstrumentSigma) -> LrfData:
-        """Find the sightings' points in the cameras' views."""
-        point = np.full(len(spots), -1)
-        if views.n_points:
-            at = np.minimum(np.searchsorted(views.frames, spots.frame), views.n_points - 1)
-            point = np.where(views.frames[at] == spots.frame, at, -1)
-        return cls(spots, settings, point, instrument)
-
-    @property
-    def measured(self) -> FloatArray:
-        """(3, M) range, bearing, height over the scan plane."""
-        return np.stack([self.spots.range_m, self.spots.bearing_rad, self.spots.out_of_plane_m])
-
-    @property
-    def sigma(self) -> FloatArray:
-        """(3, M) standard deviations of `measured`."""
-        return np.stack([self.spots.sigma_range_m, self.spots.sigma_bearing_rad, self.spots.sigma_out_of_plane_m])
 
 
 def build_joint_problem(
@@ -101,7 +39,7 @@ def build_joint_problem(
     number = np.cumsum(is_used) - 1
     camera_columns = _camera_columns(network)
     cameras = CameraParameters.from_cameras(network.cameras, camera_columns)
-    part = ScannerPart.from_scanners(scanners, _scanner_columns(len(scanners), data.instrument))
+    part = ScannerPart.from_scanners(scanners, _scanner_columns(data.instrument))
     tilts = TiltPart(data.settings.angle_rad, _tilt_columns(data.settings))
     tilt_columns = shifted(tilts.columns, cameras.size + part.size)
     rows = np.flatnonzero(network.is_inlier & is_used[network.views.point])
@@ -114,16 +52,13 @@ def build_joint_problem(
         loss=SquaredLoss(),
     )
     kept = np.flatnonzero(is_inlier)
-    lrf_block = LrfBlock(
-        group=data.spots.setting[kept],
+    lrf_block = sighting_block(
+        network, scanners, data, kept,
+        tilt_rad=tilts.angle_rad,
         point=number[data.point[kept]],
-        measured=data.measured[:, kept],
-        inverse_sigma=1 / data.sigma[:, kept],
-        scanner_of_setting=data.settings.scanner,
-        reference_rad=np.array([scanner.reference_tilt_rad for scanner in scanners]),
         columns=np.column_stack([shifted(part.columns, cameras.size)[data.settings.scanner], tilt_columns]),
         loss=loss,
-    )
+    )  # fmt: skip
     priors: list[SharedBlock] = [
         lens_prior(network.setups, cameras),
         InstrumentPrior.of(part, data.instrument, cameras.size),
@@ -148,11 +83,10 @@ def _camera_columns(network: NetworkData) -> IntArray:
     )
 
 
-def _scanner_columns(n_scanners: int, instrument: InstrumentSigma) -> IntArray:
-    is_free = np.concatenate([np.ones(N_GEOMETRY, dtype=bool), instrument.as_array() > 0])
-    columns = np.full((n_scanners, N_SCANNER), -1, dtype=np.int64)
-    columns[:, is_free] = np.arange(n_scanners * is_free.sum()).reshape(n_scanners, -1)
-    return columns
+def _scanner_columns(instrument: Sequence[InstrumentSigma]) -> IntArray:
+    sigmas = np.stack([sigma.as_array() for sigma in instrument])
+    is_free = np.concatenate([np.ones((len(sigmas), N_GEOMETRY), dtype=bool), sigmas > 0], axis=1)
+    return np.where(is_free, np.cumsum(is_free).reshape(is_free.shape) - 1, -1)
 
 
 def _tilt_columns(settings: TiltSettings) -> IntArray:

@@ -1,7 +1,10 @@
 """Residual block of the joint engine: a spot in the scan plane of a tilting LRF, and its analytic Jacobians.
 
 A spot X is measured at tilt a as (range, bearing), and it lies in the scan plane. With theta = gain (a - a_ref) the
-spot in the LRF frame is x = R' (q + Rn(-theta)(X - q) - t), Rn the rotation about the tilt axis, q its foot point.
+spot in the LRF frame is x = R' (q + Rn(-theta)(X - q) - t) + v (delay + offset): Rn is the turn about the tilt axis, q
+its foot point, v the spot's velocity in the LRF frame, delay and clock offset what the beam is later than the cameras'
+exposure that X belongs to. The velocity is data; given in the LRF frame, it leaves the residual as it is when the whole
+world turns.
 """
 
 from __future__ import annotations
@@ -17,28 +20,34 @@ from network_calib.observations import FloatArray, IntArray
 from network_calib.robust_loss import Loss, SquaredLoss
 
 SCANNERS, TILTS = "scanners", "tilts"
-N_COLUMNS = 15
+N_COLUMNS = 16
+TILT = N_COLUMNS - 1
 
 
 @dataclass(frozen=True, slots=True)
 class LrfBlock:
-    """K spots seen by LRFs: range, bearing, and zero height over the scan plane; each over its sigma.
+    """K spots seen by LRFs: range, bearing, and zero height over the scan plane, whitened.
 
     Attributes:
         group: (K,) tilt setting.
         point: (K,) spot index.
         measured: (3, K) range (m), bearing (rad), out-of-plane offset (m; the crossing procedure's bias, mostly zero).
-        inverse_sigma: (3, K) one over the standard deviations.
+        whitening: (3, 3, K) matrices W on the left, W'W the inverse covariance of `measured` less what is predicted;
+            one over the standard deviations on the diagonal where the spot stands still.
+        velocity: (3, K) of the spot in the LRF frame, m/s; zero where it stands still or is not known.
+        delay_s: (K,) stated time of the beam less that of the exposure.
         scanner_of_setting: (T,) scanner index.
         reference_rad: (S,) tilt at which each scanner's pose holds.
-        columns: (T, 15) global columns: the scanner's 14, then the setting's angle.
+        columns: (T, 16) global columns: the scanner's 15, then the setting's angle.
         loss: robust loss.
     """
 
     group: IntArray
     point: IntArray
     measured: FloatArray
-    inverse_sigma: FloatArray
+    whitening: FloatArray
+    velocity: FloatArray
+    delay_s: FloatArray
     scanner_of_setting: IntArray
     reference_rad: FloatArray
     columns: IntArray
@@ -51,29 +60,33 @@ class LrfBlock:
             group=self.group[rows],
             point=self.point[rows],
             measured=np.ascontiguousarray(self.measured[:, rows]),
-            inverse_sigma=np.ascontiguousarray(self.inverse_sigma[:, rows]),
+            whitening=np.ascontiguousarray(self.whitening[:, :, rows]),
+            velocity=np.ascontiguousarray(self.velocity[:, rows]),
+            delay_s=self.delay_s[rows],
         )
 
     def residual(self, parts: Parts, points: FloatArray, rows: slice) -> FloatArray:
         """(3, n) whitened residuals."""
         at = _Geometry.of(self, parts, points, rows)
-        return self._difference(at, rows) * self.inverse_sigma[:, rows]
+        return _whitened(self.whitening[:, :, rows], self._difference(at, rows))
 
     def linearise(self, parts: Parts, points: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (3, n), Jacobians (15, 3, n) by the shared columns and (3, 3, n) by the spot."""
+        """Residuals (3, n), Jacobians (16, 3, n) by the shared columns and (3, 3, n) by the spot."""
         at = _Geometry.of(self, parts, points, rows)
-        weight = self.inverse_sigma[:, rows]
-        residual = self._difference(at, rows) * weight
-        by_lrf = at.by_point_in_lrf() * weight  # (3 components of x, 3 residuals, n)
+        weight = self.whitening[:, :, rows]
+        residual = _whitened(weight, self._difference(at, rows))
+        # (3 components of x, 3 residuals, n)
+        by_lrf = _whitened(weight, by_point_in_lrf(at.x, at.instrument[:, 2]))
         by_shared = np.zeros((N_COLUMNS, 3, len(at.theta)))
         for column, slope in enumerate(at.slopes()):
             by_shared[column] = np.einsum("imn,ni->mn", by_lrf, slope)
-        planar = np.hypot(at.x[:, 0], at.x[:, 1])
-        by_shared[10] = by_shared[14] * at.swing
-        by_shared[14] *= at.instrument[:, 0]
-        by_shared[11, 0] = weight[0]
-        by_shared[12, 0] = planar * weight[0]
-        by_shared[13, 1] = weight[1]
+        by_theta = np.einsum("imn,ni->mn", by_lrf, at.by_theta())
+        by_shared[10] = by_theta * at.swing
+        by_shared[11] = weight[:, 0]
+        by_shared[12] = np.hypot(at.x[:, 0], at.x[:, 1]) * weight[:, 0]
+        by_shared[13] = weight[:, 1]
+        by_shared[14] = np.einsum("imn,in->mn", by_lrf, self.velocity[:, rows])
+        by_shared[TILT] = by_theta * at.instrument[:, 0]
         by_point = np.einsum("imn,nij->jmn", by_lrf, at.lrf_from_world_turn)
         return residual, by_shared, by_point
 
@@ -83,12 +96,33 @@ class LrfBlock:
         return difference
 
 
+def by_point_in_lrf(x: FloatArray, range_scale: FloatArray) -> FloatArray:
+    """(3, 3, n) derivative of range, bearing, height (second axis) by x, y, z in the LRF frame (first axis).
+
+    Args:
+        x: (n, 3) spots in the LRF frame.
+        range_scale: (n,).
+    """
+    planar2 = np.maximum(x[:, 0] ** 2 + x[:, 1] ** 2, 1e-12)
+    planar = np.sqrt(planar2)
+    out = np.zeros((3, 3, len(x)))
+    out[0, 0], out[1, 0] = range_scale * x[:, 0] / planar, range_scale * x[:, 1] / planar
+    out[0, 1], out[1, 1] = -x[:, 1] / planar2, x[:, 0] / planar2
+    out[2, 2] = 1.0
+    return out
+
+
+def _whitened(whitening: FloatArray, values: FloatArray) -> FloatArray:
+    """Matrices (3, 3, n) times columns (..., 3, n)."""
+    return (whitening * values[..., None, :, :]).sum(axis=-2)
+
+
 @dataclass(frozen=True, slots=True)
 class _Geometry:
     """What residual and Jacobians share, for n measurements.
 
     Attributes:
-        x: (n, 3) spot in the LRF frame.
+        x: (n, 3) spot in the LRF frame when the beam hit it.
         turned: (n, 3) spot relative to the axis's foot point, turned back to the reference tilt.
         arm: (n, 3) spot relative to the LRF origin, turned back, in world.
         offset: (n, 3) spot relative to the foot point.
@@ -98,7 +132,7 @@ class _Geometry:
         direction: (n, 3) the axis.
         theta: (n,) turn about the axis, rad.
         swing: (n,) tilt over the reference tilt, rad, before the gain.
-        instrument: (n, 4).
+        instrument: (n, 5).
     """
 
     x: FloatArray
@@ -129,7 +163,8 @@ class _Geometry:
         turned = np.einsum("nij,nj->ni", turn, offset)
         arm = turned + scanners.foot_points[scanner] - scanners.translations[scanner]
         lrf_from_axis = scanners.rotations[scanner].transpose(0, 2, 1)
-        x = np.einsum("nij,nj->ni", lrf_from_axis, arm)
+        moved = block.velocity[:, rows] * (block.delay_s[rows] + instrument[:, 4])
+        x = np.einsum("nij,nj->ni", lrf_from_axis, arm) + moved.T
         basis = scanners.axis_basis()[scanner]
         return cls(x, turned, arm, offset, lrf_from_axis, turn, basis, direction, theta, swing, instrument)
 
@@ -144,31 +179,22 @@ class _Geometry:
         bearing = np.arctan2(self.x[:, 1], self.x[:, 0]) + self.instrument[:, 3]
         return np.stack([self.instrument[:, 2] * planar + self.instrument[:, 1], bearing, self.x[:, 2]])
 
-    def by_point_in_lrf(self) -> FloatArray:
-        """(3, 3, n) derivative of the three residuals (second axis) by x, y, z in the LRF frame (first axis)."""
-        x, y = self.x[:, 0], self.x[:, 1]
-        planar2 = np.maximum(x * x + y * y, 1e-12)
-        planar = np.sqrt(planar2)
-        scale = self.instrument[:, 2]
-        out = np.zeros((3, 3, len(x)))
-        out[0, 0], out[1, 0] = scale * x / planar, scale * y / planar
-        out[0, 1], out[1, 1] = -y / planar2, x / planar2
-        out[2, 2] = 1.0
-        return out
-
     def slopes(self) -> list[FloatArray]:
-        """Derivative (n, 3) of x by columns 0..9 (pose, axis), zeros for the instrument, and by theta in place 14."""
-        none = np.zeros_like(self.x)
-
-        def in_lrf(vector: FloatArray) -> FloatArray:
-            return np.einsum("nij,nj->ni", self.lrf_from_axis, np.broadcast_to(vector, self.x.shape))
-
+        """Derivatives (n, 3) of x by columns 0..9: pose and axis."""
+        in_lrf = self._in_lrf
         # R <- exp(w) R turns the arm by -w; t <- t + dt shortens it.
         pose = [in_lrf(np.cross(self.arm, unit)) for unit in np.eye(3)] + [in_lrf(-unit) for unit in np.eye(3)]
         axis = [in_lrf(self._by_direction(self.basis[:, :, i])) for i in range(2)]
         stay = np.eye(3) - self.turn
         foot = [in_lrf(np.einsum("nij,nj->ni", stay, self.basis[:, :, i])) for i in range(2)]
-        return [*pose, *axis, *foot, none, none, none, none, in_lrf(-np.cross(self.direction, self.turned))]
+        return [*pose, *axis, *foot]
+
+    def by_theta(self) -> FloatArray:
+        """(n, 3) derivative of x by the turn about the axis."""
+        return self._in_lrf(-np.cross(self.direction, self.turned))
+
+    def _in_lrf(self, vector: FloatArray) -> FloatArray:
+        return np.einsum("nij,nj->ni", self.lrf_from_axis, np.broadcast_to(vector, self.x.shape))
 
     def _by_direction(self, change: FloatArray) -> FloatArray:
         """Derivative of Rn(-theta) offset by the axis direction along `change` (n, 3), which stands across it.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,11 @@ from lrf_stereo.samples import TiltSettings
 from lrf_stereo.scanner_part import N_GEOMETRY, ScannerPart, TiltPart
 from network_calib.blocks import Parts
 from network_calib.camera_block import cameras_of
+from network_calib.errors import InputError
 from network_calib.observations import FloatArray, IntArray
+
+# Tilt gain, range bias, range scale, bearing zero, clock offset of a perfect instrument.
+NOMINAL = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,16 +28,38 @@ class InstrumentSigma:
         range_bias_m: a phase-shift scanner's systematic error, some millimetres to a centimetre.
         range_scale: relative; observable only against a metric baseline.
         bearing_zero_rad: of the scan's front step; barely observable beside the mount.
+        clock_offset_s: of the scanner's stamps against the cameras'; observable where the spot moves, in several
+            directions and with a known velocity.
     """
 
     tilt_gain: float = 0.0
     range_bias_m: float = 0.0
     range_scale: float = 0.0
     bearing_zero_rad: float = 0.0
+    clock_offset_s: float = 0.0
 
     def as_array(self) -> FloatArray:
-        """(4,) in the order of the scanner's tangent."""
-        return np.array([self.tilt_gain, self.range_bias_m, self.range_scale, self.bearing_zero_rad])
+        """(5,) in the order of the scanner's tangent."""
+        return np.array(
+            [self.tilt_gain, self.range_bias_m, self.range_scale, self.bearing_zero_rad, self.clock_offset_s]
+        )
+
+
+# What scanners may be wrong by: one for all of them, or one for each.
+Instruments = InstrumentSigma | tuple[InstrumentSigma, ...]
+
+
+def each_instrument(instruments: Instruments | None, n_scanners: int) -> tuple[InstrumentSigma, ...]:
+    """One for each scanner; what is given as one holds for all, and nothing given for exact instruments.
+
+    Raises:
+        InputError: another number of them than of scanners.
+    """
+    if instruments is None or isinstance(instruments, InstrumentSigma):
+        return (instruments or InstrumentSigma(),) * n_scanners
+    if len(instruments) != n_scanners:
+        raise InputError(f"what instruments may be wrong by is given for {len(instruments)} of {n_scanners} LRFs")
+    return instruments
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +102,7 @@ class InstrumentPrior:
 
     Attributes:
         scanner: (n,) scanner index.
-        entry: (n,) index into the instrument's four numbers.
+        entry: (n,) index into the instrument's five numbers.
         nominal: (n,) mean.
         sigma: (n,) standard deviation.
         columns: (n, 1) global columns.
@@ -88,12 +115,13 @@ class InstrumentPrior:
     columns: IntArray
 
     @classmethod
-    def of(cls, part: ScannerPart, sigma: InstrumentSigma, first_column: int) -> InstrumentPrior:
-        """For every free instrument number of every scanner."""
+    def of(cls, part: ScannerPart, sigma: Sequence[InstrumentSigma], first_column: int) -> InstrumentPrior:
+        """For every free instrument number of every scanner; `sigma` has one for each."""
         own = part.columns[:, N_GEOMETRY:]
         scanner, entry = np.nonzero(own >= 0)
         columns = own[scanner, entry] + first_column
-        return cls(scanner, entry, np.array([1.0, 0.0, 1.0, 0.0])[entry], sigma.as_array()[entry], columns[:, None])
+        sigmas = np.stack([one.as_array() for one in sigma])
+        return cls(scanner, entry, NOMINAL[entry], sigmas[scanner, entry], columns[:, None])
 
     def linearise(self, parts: Parts) -> tuple[FloatArray, FloatArray]:
         """Whitened residuals (n,) and Jacobian (n, 1)."""

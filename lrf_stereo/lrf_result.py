@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from lrf_stereo.calibrate import LrfCalibration
@@ -10,6 +12,7 @@ from lrf_stereo.lrf_block import TILTS
 from lrf_stereo.scanner import TiltingScanner
 from lrf_stereo.scanner_part import N_GEOMETRY, N_SCANNER, SCANNER_TANGENT, ScannerPart, TiltPart
 from lrf_stereo.session import LrfSession
+from lrf_stereo.sighting_block import spot_motion
 from network_calib.observations import BoolArray, FloatArray
 from network_calib.result import CalibratedLrf
 from network_calib.spots import located
@@ -23,7 +26,7 @@ def calibrated_lrfs(session: LrfSession, network: NetworkData, solved: LrfCalibr
     """Every LRF of a session, in its order."""
     data = LrfData.of(session.spots, session.settings, network.views, session.instrument)
     is_usable = (data.point >= 0) & located(network.points)[np.maximum(data.point, 0)]
-    residual = _residuals(data, solved)
+    residual = _residuals(data, network, solved)
     return tuple(
         _calibrated(name, scanner, data, solved, residual, is_usable, is_held=network.is_held)
         for scanner, name in enumerate(session.names)
@@ -41,7 +44,7 @@ def paper_sigma(scanner: TiltingScanner, covariance: FloatArray) -> FloatArray:
 
     Args:
         scanner: where.
-        covariance: (14, 14) of its tangent.
+        covariance: (15, 15) of its tangent.
     """
     part = ScannerPart.from_scanners((scanner,), np.arange(N_SCANNER)[None])
 
@@ -76,7 +79,7 @@ def _calibrated(
         reference_tilt_rad=scanner.reference_tilt_rad,
         axis_direction_in_world=scanner.axis_direction_in_world,
         axis_point_in_world=scanner.axis_point_in_world,
-        instrument=np.array([scanner.tilt_gain, scanner.range_bias_m, scanner.range_scale, scanner.bearing_zero_rad]),
+        instrument=scanner.instrument,
         covariance=covariance,
         dx_m=dx_m,
         dz_m=dz_m,
@@ -96,7 +99,7 @@ def _calibrated(
 
 def _held(index: int, data: LrfData, solved: LrfCalibration, *, is_held: bool) -> tuple[str, ...]:
     """What stayed as given: instrument numbers, tilt angles that are trusted, the cameras."""
-    is_free = np.concatenate([np.ones(N_GEOMETRY, dtype=bool), data.instrument.as_array() > 0])
+    is_free = np.concatenate([np.ones(N_GEOMETRY, dtype=bool), data.instrument[index].as_array() > 0])
     names = [name for name, free in zip(SCANNER_TANGENT, is_free, strict=True) if not free]
     tilts = solved.refined.state.parts[TILTS]
     assert isinstance(tilts, TiltPart)
@@ -106,13 +109,16 @@ def _held(index: int, data: LrfData, solved: LrfCalibration, *, is_held: bool) -
     return (*names, *trusted, *([HELD_CAMERAS] if is_held else []))
 
 
-def _residuals(data: LrfData, solved: LrfCalibration) -> FloatArray:
+def _residuals(data: LrfData, network: NetworkData, solved: LrfCalibration) -> FloatArray:
     """(3, M) predicted less measured range, bearing and height; NaN where the spot was not used."""
     refined, spots = solved.refined, data.spots
+    motion = spot_motion(replace(network, cameras=refined.cameras, points=refined.points), data, refined.scanners)
     out = np.full((3, len(spots)), np.nan)
     for index, scanner in enumerate(refined.scanners):
         rows = np.flatnonzero(refined.is_inlier & (data.settings.scanner[spots.setting] == index))
         tilt_rad = refined.tilt_rad[spots.setting[rows]]
-        out[:, rows] = np.stack(scanner.measure(refined.points[data.point[rows]], tilt_rad)) - data.measured[:, rows]
+        moved = motion.displacement_m(spots.delay_s + scanner.clock_offset_s)[rows]
+        at_beam = refined.points[data.point[rows]] + moved
+        out[:, rows] = np.stack(scanner.measure(at_beam, tilt_rad)) - data.measured[:, rows]
     out[1] = (out[1] + np.pi) % (2 * np.pi) - np.pi
     return out

@@ -14,26 +14,35 @@ from dataclasses import replace
 import numpy as np
 
 from lrf_stereo.calibrate import LrfCalibration, calibrate_lrfs
-from lrf_stereo.joint_problem import LrfData, NetworkData
+from lrf_stereo.held_cameras import BY_RANGES, CameraSpread
+from lrf_stereo.joint_data import LrfData, NetworkData
+from lrf_stereo.joint_frame import JointFrame
 from lrf_stereo.lrf_result import calibrated_lrfs
+from lrf_stereo.range_scale import scale_by_ranges
+from lrf_stereo.refine import scale_sigma
 from lrf_stereo.session import LrfSession
 from network_calib.assess import Assessed, Optimum, assess
 from network_calib.calibrate import InputId, calibration_of, find_optimum, now_utc, program_version, provenance_of
-from network_calib.errors import DegenerateError, InputError
+from network_calib.errors import ConvergenceError, DegenerateError, InputError
 from network_calib.evaluate import with_cameras
-from network_calib.gauge import Similarity
-from network_calib.observations import FloatArray, Observations
+from network_calib.observations import Observations
 from network_calib.optimum import Progress
 from network_calib.refine import MIN_SIGMA_PX
 from network_calib.result import Calibration, Doubt, Provenance, WorldFrame
-from network_calib.room_setup import Anchor, CameraSetup, Knowledge, KnownDistance, Options, UnitScale
+from network_calib.room_setup import (
+    Anchor,
+    CameraSetup,
+    Knowledge,
+    KnownCentres,
+    KnownDistance,
+    KnownPoints,
+    Options,
+    UnitScale,
+)
 from network_calib.spots import SpotViews, locate, located
 
-# Ranges to spots that stand closer together than this say little of the scale.
-MIN_DISTANCE_M = 0.3
-MIN_DISTANCES = 10
-# A baseline that is wrong by more than this many of its own sigma is wrong, and the registration says so.
-MAX_SCALE_SIGMA = 5.0
+# Distances between spots of narrow pairs are long by a percent, from the noise of their depth alone.
+MAX_SCALE_DIFFERENCE = 0.01
 
 
 def calibrate_with_lrfs(
@@ -71,13 +80,11 @@ def calibrate_with_lrfs(
     assessed = assess(found, anchor=metric, options=options, seed=seed, progress=report)
     baseline = None if isinstance(anchor, UnitScale) else _baseline(assessed, anchor)
     report("cameras and LRFs together", 0.97)
-    network = _started(_network(assessed, baseline), assessed.world.scale_sigma, lrfs)
-    solved = calibrate_lrfs(
-        network, lrfs.spots, lrfs.settings,
-        rng=np.random.default_rng(seed), instrument=lrfs.instrument, rejection=options.rejection,
-    )  # fmt: skip
+    network = _network(assessed, baseline)
+    frame = JointFrame.of(anchor, options, network.views, network.cameras.names)
+    solved = _calibrated(network, lrfs, options.rejection, seed, frame=frame)
     report("done", 1.0)
-    moved = _moved(assessed, solved, _world(assessed.world, anchor, lrfs, solved))
+    moved = _moved(assessed, solved, _world(assessed.world, anchor, frame, lrfs, solved))
     calibration = calibration_of(moved, provenance_of(found, source, anchor=anchor, options=options, seed=seed))
     return replace(
         calibration,
@@ -97,8 +104,8 @@ def add_lrfs(
 ) -> Calibration:
     """Calibrate LRFs to cameras that were calibrated before and stay as they are.
 
-    The LRFs' covariances are those given the cameras: what the cameras themselves may be wrong by comes on top, and
-    `held` says so. LRFs of the calibration with other names stay.
+    The LRFs' covariances hold what the cameras may be wrong by (`held_cameras.py`). LRFs of the calibration with other
+    names stay.
 
     Args:
         calibration: of the cameras, metric.
@@ -119,10 +126,7 @@ def add_lrfs(
             advice="Calibrate cameras and LRFs together: the ranges give the scale.",
         )
     network = _held_network(calibration, observations, rejection)
-    solved = calibrate_lrfs(
-        network, lrfs.spots, lrfs.settings,
-        rng=np.random.default_rng(seed), instrument=lrfs.instrument, rejection=rejection,
-    )  # fmt: skip
+    solved = _calibrated(network, lrfs, rejection, seed, held=CameraSpread.of(calibration))
     others = tuple(lrf for lrf in calibration.lrfs if lrf.name not in lrfs.names)
     return replace(
         calibration,
@@ -132,39 +136,34 @@ def add_lrfs(
     )
 
 
-def scale_by_ranges(network_points: FloatArray, data: LrfData) -> float:
-    """Metres for each unit of the cameras' world, from distances between spots of one tilt setting.
-
-    A distance does not depend on where the scanner stands. Wrong pairs are outvoted: of all ratios, the middle of the
-    shortest interval that holds half of them counts.
-
-    Args:
-        network_points: (F, 3) spots by the cameras, NaN where not located.
-        data: LRF sightings.
-
-    Raises:
-        DegenerateError: fewer than ten distances of 0.3 m or more.
-    """
-    spots = data.spots
-    flat = np.stack([spots.range_m * np.cos(spots.bearing_rad), spots.range_m * np.sin(spots.bearing_rad)], axis=1)
-    is_usable = (data.point >= 0) & located(network_points)[np.maximum(data.point, 0)]
-    log_ratios = [np.empty(0)]
-    for setting in range(len(data.settings.angle_rad)):
-        rows = np.flatnonzero(is_usable & (spots.setting == setting))
-        a, b = (rows[side] for side in np.triu_indices(len(rows), 1))
-        by_lrf = np.linalg.norm(flat[a] - flat[b], axis=1)
-        by_cameras = np.linalg.norm(network_points[data.point[a]] - network_points[data.point[b]], axis=1)
-        is_far = (by_lrf >= MIN_DISTANCE_M) & (by_cameras > 0)
-        log_ratios.append(np.log(by_lrf[is_far] / by_cameras[is_far]))
-    ratios = np.sort(np.concatenate(log_ratios))
-    if len(ratios) < MIN_DISTANCES:
-        raise DegenerateError(
-            f"no metric scale: {len(ratios)} distances between spots in a scan plane, {MIN_DISTANCES} are needed",
-            advice="Cross the scan planes more often in view of two cameras, or give the distance of two cameras.",
-        )
-    half = len(ratios) // 2
-    first = int(np.argmin(ratios[half:] - ratios[: len(ratios) - half]))
-    return float(np.exp((ratios[first] + ratios[first + half]) / 2))
+def _calibrated(
+    network: NetworkData,
+    lrfs: LrfSession,
+    rejection: float,
+    seed: int,
+    *,
+    frame: JointFrame | None = None,
+    held: CameraSpread | None = None,
+) -> LrfCalibration:
+    """`calibrate_lrfs` of a session; a refusal says when ranges and cameras do not agree about the metre."""
+    rng = np.random.default_rng(seed)
+    try:
+        return calibrate_lrfs(
+            network, lrfs.spots, lrfs.settings,
+            rng=rng, instrument=lrfs.instrument, rejection=rejection, frame=frame, held=held,
+        )  # fmt: skip
+    except (DegenerateError, ConvergenceError) as error:
+        data = LrfData.of(lrfs.spots, lrfs.settings, network.views, lrfs.instrument)
+        try:
+            off = 1 / scale_by_ranges(network.points, data) - 1
+        except DegenerateError:
+            raise error from None
+        if abs(off) < MAX_SCALE_DIFFERENCE:
+            raise
+        word = "longer" if off > 0 else "shorter"
+        message = f"{error.message}; and the cameras' metres are {100 * abs(off):.1f} % {word} than those of the ranges"
+        advice = "Check the distance or positions that tell the cameras' metres, their sigma, and the unit of range_m."
+        raise type(error)(message, advice=advice) from error
 
 
 def _metric_by_ranges(found: Optimum, lrfs: LrfSession) -> KnownDistance:
@@ -185,7 +184,24 @@ def _baseline(assessed: Assessed, anchor: Anchor) -> KnownDistance:
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)
     a, b = np.unravel_index(int(distances.argmax()), distances.shape)
     distance_m = float(distances[a, b])
-    return KnownDistance(cameras.names[a], cameras.names[b], distance_m, assessed.world.scale_sigma * distance_m)
+    # The residuals of a few positions may be small by chance; their own places are not known better than this.
+    relative = max(assessed.world.scale_sigma, _relative_location_sigma(assessed, anchor))
+    return KnownDistance(cameras.names[a], cameras.names[b], distance_m, relative * distance_m)
+
+
+def _relative_location_sigma(assessed: Assessed, anchor: Anchor) -> float:
+    """What the images alone let the scale of given positions be wrong by."""
+    if isinstance(anchor, KnownCentres):
+        rows = [assessed.refined.cameras.names.index(name) for name in anchor.names]
+        spread, given = assessed.spread.cameras[rows, 3:6, 3:6], anchor.centres_in_world_m
+    elif isinstance(anchor, KnownPoints):
+        number = np.cumsum(located(assessed.refined.points)) - 1
+        rows = number[np.searchsorted(assessed.views.frames, anchor.frames)]
+        spread, given = assessed.spread.spots[rows], anchor.points_in_world_m
+    else:
+        return 0.0
+    variance = float(np.trace(spread, axis1=1, axis2=2).mean()) / 3
+    return float(np.sqrt(variance / ((given - given.mean(axis=0)) ** 2).sum()))
 
 
 def _network(assessed: Assessed, baseline: KnownDistance | None) -> NetworkData:
@@ -200,22 +216,6 @@ def _network(assessed: Assessed, baseline: KnownDistance | None) -> NetworkData:
         is_held=False,
         baseline=baseline,
     )
-
-
-def _started(network: NetworkData, scale_sigma: float, lrfs: LrfSession) -> NetworkData:
-    """The network in the scale of the ranges, where the anchor's is vague enough to allow for it.
-
-    Registration takes the scale as it is; only the joint solve weighs ranges and baseline.
-    """
-    if scale_sigma <= 0:
-        return network
-    data = LrfData.of(lrfs.spots, lrfs.settings, network.views, lrfs.instrument)
-    factor = scale_by_ranges(network.points, data)
-    if abs(factor - 1) > MAX_SCALE_SIGMA * scale_sigma:
-        return network
-    first = network.cameras.centres_in_world[0]
-    motion = Similarity(factor, np.eye(3), (1 - factor) * first)
-    return replace(network, cameras=motion.apply_to_cameras(network.cameras), points=motion.apply(network.points))
 
 
 def _held_network(calibration: Calibration, observations: Observations, rejection: float) -> NetworkData:
@@ -237,23 +237,27 @@ def _held_network(calibration: Calibration, observations: Observations, rejectio
 
 
 def _moved(assessed: Assessed, solved: LrfCalibration, world: WorldFrame) -> Assessed:
-    """The assessed network with the cameras and spots of the joint solve, and their covariance."""
+    """The assessed network with the cameras and spots of the joint solve, and their covariance.
+
+    Hold-out and repeats stay those of the cameras alone.
+    """
     refined = replace(assessed.refined, cameras=solved.refined.cameras, points=solved.refined.points)
-    spread = replace(assessed.spread, cameras=solved.covariance.cameras)
+    spread = replace(assessed.spread, cameras=solved.covariance.cameras, spots=solved.covariance.points)
     return replace(assessed, world=world, refined=refined, spread=spread)
 
 
-def _world(frame: WorldFrame, anchor: Anchor, lrfs: LrfSession, solved: LrfCalibration) -> WorldFrame:
-    """The frame with the words of its scale, whose sigma is in the covariances now: ranges and baseline share it."""
-    centres = solved.refined.cameras.centres_in_world
-    away = centres[1:] - centres[0]
-    spread = solved.covariance.cameras[1:, 3:6, 3:6]
-    variance = np.einsum("ci,cij,cj->c", away, spread, away)
-    # The best known distance from the first camera: others add their own sigma to that of the scale.
-    relative = float(np.sqrt(variance / (away**2).sum(axis=1) ** 2).min())
-    ranges = f"the ranges of {', '.join(lrfs.names)}"
-    words = ranges if isinstance(anchor, UnitScale) else f"{frame.scale_source}, and {ranges}"
-    return replace(frame, scale_source=f"{words}; σ of {100 * relative:.2g} % within the covariances", scale_sigma=0.0)
+def _world(
+    world: WorldFrame, anchor: Anchor, frame: JointFrame, lrfs: LrfSession, solved: LrfCalibration
+) -> WorldFrame:
+    """The frame with the words of its scale, which ranges and anchor share, and the sigma of this scale."""
+    source = world.scale_source
+    if frame.given is not None:
+        rms_m = frame.rms_m(solved.refined.cameras, solved.refined.points)
+        kind = "camera centres" if len(frame.given.cameras) else "points"
+        source = f"{len(frame.given.in_world_m)} given {kind}, met within {rms_m:.4g} m RMS"
+    ranges = f"{BY_RANGES}{', '.join(lrfs.names)}"
+    words = ranges if isinstance(anchor, UnitScale) else f"{source}, and {ranges}"
+    return replace(world, scale_source=words, scale_sigma=scale_sigma(solved.refined, solved.covariance))
 
 
 def _extended(provenance: Provenance, source: InputId) -> Provenance:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lrf_stereo.joint_problem import LrfData
+from lrf_stereo.joint_data import LrfData
 from lrf_stereo.lrf_block import SCANNERS
 from lrf_stereo.refine import LrfCovariance, LrfRefined
 from lrf_stereo.scanner_part import N_SCANNER, ScannerPart
@@ -49,7 +49,7 @@ def with_common_height(spread: LrfCovariance, refined: LrfRefined, data: LrfData
 
 
 def _shift(direction_in_world: FloatArray) -> FloatArray:
-    """(14,) tangent of moving the scanner, and not its axis."""
+    """(15,) tangent of moving the scanner, and not its axis."""
     tangent = np.zeros(N_SCANNER)
     tangent[3:6] = direction_in_world
     return tangent

@@ -82,7 +82,7 @@ class ValidPixels:
 
         Args:
             points_m2: (3, 3, n) covariance of the tile's points in world.
-            by_scanner: (14, 3, n) derivative of the points by the scanner's parameters, where cameras and scanner err
+            by_scanner: (15, 3, n) derivative of the points by the scanner's parameters, where cameras and scanner err
                 together.
             work: at least `work_size` numbers that are overwritten: fresh memory for each tile costs more than the
                 arithmetic.

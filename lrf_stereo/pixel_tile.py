@@ -35,7 +35,7 @@ class LensGroup:
         minus_turn: (c, 3, 3) minus the rotations world_from_cam.
         active: which intrinsics are uncertain in any of the cameras, as places in PARAMETER_NAMES.
         covariance: (c, k, k) of centre, rotation and active intrinsics; where cameras and scanner err together, then
-            also of the 14 scanner parameters, with zeros in the scanner's own part: that is in the points already.
+            also of the 15 scanner parameters, with zeros in the scanner's own part: that is in the points already.
     """
 
     lens: Lens
@@ -60,7 +60,7 @@ class LensGroup:
         covariance: FloatArray | None,
         camera_scanner: FloatArray | None,
     ) -> LensGroup:
-        """The cameras `members`; covariances (C, 14, 14) are those of all cameras."""
+        """The cameras `members`; covariances (C, 14, 14) and (C, 14, 15) are those of all cameras."""
         columns = cameras.intrinsics[members].T[:, :, None]
         active, matrix = _arranged(members, covariance, camera_scanner)
         poses = cameras.cam_from_world.as_matrix().reshape(-1, 4, 4)[members]

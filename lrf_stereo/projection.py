@@ -35,8 +35,8 @@ class CalibrationCovariance:
 
     Attributes:
         cameras: (C, 14, 14) in the order of `network_calib.result.PARAMETER_NAMES`.
-        scanner: (14, 14) in the order of `lrf_stereo.scanner_part.SCANNER_TANGENT`.
-        camera_scanner: (C, 14, 14) covariance of each camera's parameters (rows) with the scanner's (columns). Cameras
+        scanner: (15, 15) in the order of `lrf_stereo.scanner_part.SCANNER_TANGENT`.
+        camera_scanner: (C, 14, 15) covariance of each camera's parameters (rows) with the scanner's (columns). Cameras
             and scanner are known from the same spots, and errors that they share move no pixel; without this the
             pixels' covariance is too large.
     """
@@ -172,7 +172,7 @@ class LrfProjector:
 
 @dataclass(frozen=True, slots=True)
 class _Spread:
-    """How uncertain the ends are: (3, 3, N) covariance; (14, 3, N) slope where cameras and scanner err together."""
+    """How uncertain the ends are: (3, 3, N) covariance; (15, 3, N) slope where cameras and scanner err together."""
 
     covariance: FloatArray
     by_scanner: FloatArray | None

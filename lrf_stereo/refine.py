@@ -13,12 +13,15 @@ from scipy.linalg import LinAlgError
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
-from lrf_stereo.joint_problem import LrfData, NetworkData, build_joint_problem, shifted
-from lrf_stereo.lrf_block import N_COLUMNS, SCANNERS, TILTS, LrfBlock
-from lrf_stereo.lrf_priors import InstrumentSigma
+from lrf_stereo.joint_data import LrfData, NetworkData
+from lrf_stereo.joint_frame import JointFrame
+from lrf_stereo.joint_problem import build_joint_problem, shifted
+from lrf_stereo.lrf_block import N_COLUMNS, SCANNERS, TILTS
+from lrf_stereo.lrf_priors import Instruments
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.scanner import TiltingScanner
 from lrf_stereo.scanner_part import N_SCANNER, ScannerPart, TiltPart
+from lrf_stereo.sighting_block import sighting_block
 from network_calib.blocks import Problem, State
 from network_calib.bundle import Solution, SolverOptions, covariance, solve
 from network_calib.camera_block import PART, cameras_of
@@ -70,8 +73,9 @@ def refine_jointly(
     spots: LrfSpots,
     settings: TiltSettings,
     *,
-    instrument: InstrumentSigma | None = None,
+    instrument: Instruments | None = None,
     rejection: float = 4.0,
+    frame: JointFrame | None = None,
 ) -> LrfRefined:
     """Cameras, scanners and tilt angles of maximum likelihood.
 
@@ -80,13 +84,14 @@ def refine_jointly(
         scanners: the start; poses hold at each scanner's first setting.
         spots: LRF sightings; those whose frame the cameras did not locate are left out.
         settings: measured tilt angles. A covariance of zero trusts them as they are.
-        instrument: what the scanners may be wrong by; by default nothing.
+        instrument: what the scanners may be wrong by, one for all or one for each; by default nothing.
         rejection: sigma (of one dimension) whose probability a sighting's surprise must not pass.
+        frame: names the world of cameras that are not held; by default the first camera stays where it is.
 
     Raises:
         DegenerateError: no sighting of a setting is left.
     """
-    data = LrfData.of(spots, settings, network.views, instrument or InstrumentSigma())
+    data = LrfData.of(spots, settings, network.views, instrument)
     usable = (data.point >= 0) & located(network.points)[np.maximum(data.point, 0)]
     is_inlier = usable.copy()
     cam_from_world = network.cameras.cam_from_world[0]
@@ -102,7 +107,7 @@ def refine_jointly(
         is_inlier, loss = judged, SquaredLoss()
     solved = _solve(network, scanners, data, is_inlier, SquaredLoss(), EXACT)
     if not network.is_held:
-        solved = _posed(solved, cam_from_world)
+        solved = _posed(solved, frame or JointFrame(), cam_from_world)
     return LrfRefined(
         cameras=solved.network.cameras,
         points=solved.network.points,
@@ -119,46 +124,99 @@ def refine_jointly(
 
 @dataclass(frozen=True, slots=True)
 class LrfCovariance:
-    """Covariances under the gauge of the first camera (nothing is free when the cameras are held).
+    """Covariances under the gauge of the world frame (nothing is free when the cameras are held).
 
     Attributes:
         cameras: (C, 14, 14), zero when held.
-        scanners: (S, 14, 14) in the order of SCANNER_TANGENT.
+        scanners: (S, 15, 15) in the order of SCANNER_TANGENT.
         tilts: (T, T) rad^2; zero for reference settings.
+        camera_scanner: (S, C, 14, 15) of each camera's parameters with each scanner's.
+        points: (F', 3, 3) of the spots that were used.
         joint: (n, n) of the whole shared tangent vector: cameras, scanners, tilts.
     """
 
     cameras: FloatArray
     scanners: FloatArray
     tilts: FloatArray
+    camera_scanner: FloatArray
+    points: FloatArray
     joint: FloatArray
 
 
 def lrf_covariance(refined: LrfRefined) -> LrfCovariance:
-    """Covariances at a joint optimum.
+    """Covariances at a joint optimum; of the scanners and tilts given the cameras when these were held.
 
     Raises:
         DegenerateError: some direction is not determined.
     """
     try:
-        joint = covariance(refined.problem, refined.state).shared
+        whole = covariance(refined.problem, refined.state)
     except LinAlgError as error:
         raise DegenerateError(
             "the LRF sightings leave some direction of the scanner free",
             advice="Take more tilts, further apart, and spots near and far, left and right.",
         ) from error
-    padded = np.pad(joint, ((0, 1), (0, 1)))
-    cameras, scanners, tilts = (refined.state.parts[name] for name in (PART, SCANNERS, TILTS))
-    assert isinstance(cameras, CameraParameters)
-    assert isinstance(scanners, ScannerPart)
-    assert isinstance(tilts, TiltPart)
-    first_scanner, first_tilt = cameras.size, cameras.size + scanners.size
+    padded = np.pad(whole.shared, ((0, 1), (0, 1)))
+    columns = _Columns.of(refined.state)
     return LrfCovariance(
-        _cut(padded, cameras.columns),
-        _cut(padded, shifted(scanners.columns, first_scanner)),
-        _cut(padded, shifted(tilts.columns, first_tilt)[None])[0],
-        joint,
+        cameras=_cut(padded, columns.cameras),
+        scanners=_cut(padded, columns.scanners),
+        tilts=_cut(padded, columns.tilts[None])[0],
+        camera_scanner=padded[columns.cameras[None, :, :, None], columns.scanners[:, None, None, :]],
+        points=whole.points,
+        joint=whole.shared,
     )
+
+
+def with_shared_covariance(
+    spread: LrfCovariance, refined: LrfRefined, joint: FloatArray, with_cameras: FloatArray
+) -> LrfCovariance:
+    """Covariances of a solve with held cameras for another one (n, n) of the shared tangent vector.
+
+    Args:
+        spread: of the same solve.
+        refined: the solve.
+        joint: scanners and tilts.
+        with_cameras: (C, 14, n) of the held cameras' parameters with them.
+    """
+    columns = _Columns.of(refined.state)
+    padded = np.pad(joint, ((0, 1), (0, 1)))
+    cross = np.pad(with_cameras, ((0, 0), (0, 0), (0, 1)))
+    return replace(
+        spread,
+        scanners=_cut(padded, columns.scanners),
+        tilts=_cut(padded, columns.tilts[None])[0],
+        camera_scanner=cross[:, :, columns.scanners].transpose(2, 0, 1, 3),
+        joint=joint,
+    )
+
+
+def scale_sigma(refined: LrfRefined, spread: LrfCovariance) -> float:
+    """Relative standard deviation of the metric scale: of the cameras' RMS distance from their middle."""
+    columns = _Columns.of(refined.state).cameras[:, 3:6]
+    centres = refined.cameras.centres_in_world
+    away = centres - centres.mean(axis=0)
+    slope = np.zeros(len(spread.joint))
+    slope[columns] = away / (away**2).sum()
+    return float(np.sqrt(slope @ spread.joint @ slope))
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Columns of the shared tangent vector: (C, 14), (S, 15), (T,); -1 where held."""
+
+    cameras: IntArray
+    scanners: IntArray
+    tilts: IntArray
+
+    @classmethod
+    def of(cls, state: State) -> _Columns:
+        cameras, scanners, tilts = (state.parts[name] for name in (PART, SCANNERS, TILTS))
+        assert isinstance(cameras, CameraParameters)
+        assert isinstance(scanners, ScannerPart)
+        assert isinstance(tilts, TiltPart)
+        first_scanner, first_tilt = cameras.size, cameras.size + scanners.size
+        return cls(cameras.columns, shifted(scanners.columns, first_scanner), shifted(tilts.columns, first_tilt))
 
 
 def _cut(padded: FloatArray, columns: IntArray) -> FloatArray:
@@ -200,10 +258,10 @@ def _solve(
     return _Solved(moved, part.apply_to(scanners), tilts.angle_rad, problem, solution)
 
 
-def _posed(solved: _Solved, cam_from_world: RigidTransform) -> _Solved:
-    """The same solution with the first camera where it was: the solve lets the whole world drift."""
+def _posed(solved: _Solved, frame: JointFrame, cam_from_world: RigidTransform) -> _Solved:
+    """The same solution in its frame: the solve lets the whole world drift."""
     drifted, state = solved.network, solved.solution.state
-    world_from_drifted = cam_from_world.inv() * drifted.cameras.cam_from_world[0]
+    world_from_drifted = frame.world_from_solve(drifted.cameras, drifted.points, cam_from_world)
     motion = Similarity(1.0, world_from_drifted.rotation.as_matrix(), np.asarray(world_from_drifted.translation))
     cameras = motion.apply_to_cameras(drifted.cameras)
     scanners = tuple(scanner.moved_by(world_from_drifted) for scanner in solved.scanners)
@@ -216,7 +274,13 @@ def _posed(solved: _Solved, cam_from_world: RigidTransform) -> _Solved:
     }
     state = State(parts, np.ascontiguousarray(motion.apply(state.points.T).T))
     network = replace(drifted, cameras=cameras, points=motion.apply(drifted.points))
-    return replace(solved, network=network, scanners=scanners, solution=replace(solved.solution, state=state))
+    return replace(
+        solved,
+        network=network,
+        scanners=scanners,
+        problem=frame.named_gauge(solved.problem),
+        solution=replace(solved.solution, state=state),
+    )
 
 
 def _degrees_of_freedom(solved: _Solved, *, is_held: bool) -> int:
@@ -244,15 +308,10 @@ def _surprise(
         SCANNERS: ScannerPart.from_scanners(scanners, np.full((len(scanners), N_SCANNER), -1)),
         TILTS: TiltPart(tilt_rad, np.full(len(tilt_rad), -1)),
     }
-    block = LrfBlock(
-        group=data.spots.setting[rows],
-        point=point,
-        measured=data.measured[:, rows],
-        inverse_sigma=1 / data.sigma[:, rows],
-        scanner_of_setting=data.settings.scanner,
-        reference_rad=np.array([scanner.reference_tilt_rad for scanner in scanners]),
-        columns=np.full((len(tilt_rad), N_COLUMNS), -1),
-    )
+    block = sighting_block(
+        network, scanners, data, rows,
+        tilt_rad=tilt_rad, point=point, columns=np.full((len(tilt_rad), N_COLUMNS), -1), loss=SquaredLoss(),
+    )  # fmt: skip
     residual, _, by_point = block.linearise(parts, np.ascontiguousarray(from_cameras[point].T), slice(0, len(rows)))
     total = np.einsum("imn,nij,jkn->nmk", by_point, spread[point], by_point) + np.eye(3)
     out = np.full(len(data.spots), np.inf)

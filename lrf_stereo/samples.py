@@ -9,6 +9,9 @@ import numpy as np
 from network_calib.errors import InputError
 from network_calib.observations import BoolArray, FloatArray, IntArray
 
+# A hand does not keep its way for longer: a larger delay is another frame, or another clock's zero.
+MAX_DELAY_S = 1.0
+
 
 @dataclass(frozen=True, slots=True)
 class LrfSpots:
@@ -25,6 +28,8 @@ class LrfSpots:
         sigma_out_of_plane_m: (M,) standard deviation, from the crossing procedure.
         bias_bound_m: (M,) how far the centre may have been off the plane, always to the same side: of a one-sided
             crossing (`crossing.Crossings.bias_bound_m`); zero, the default, for a two-sided one.
+        delay_s: (M,) time of the beam that hit the spot, less that of the cameras' exposure of this frame, on the
+            stated clocks: the scan's stamp, and `ScanSteps.beam_time_s` of the bearing on top. Zero by default.
     """
 
     frame: IntArray
@@ -36,10 +41,12 @@ class LrfSpots:
     sigma_bearing_rad: FloatArray
     sigma_out_of_plane_m: FloatArray
     bias_bound_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    delay_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        if not len(self.bias_bound_m):
-            object.__setattr__(self, "bias_bound_m", np.zeros(len(self.frame)))
+        for name in ("bias_bound_m", "delay_s"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.frame)))
         measured = np.stack([self.range_m, self.bearing_rad, self.out_of_plane_m])
         if not np.isfinite(measured).all() or (self.range_m <= 0).any():
             bad = int(np.flatnonzero(~np.isfinite(measured).all(axis=0) | ~(self.range_m > 0))[0])
@@ -50,6 +57,11 @@ class LrfSpots:
             raise InputError(f"LRF sighting {bad} in frame {self.frame[bad]} has a sigma that is not positive")
         if len(self.bias_bound_m) != len(self.frame) or not (self.bias_bound_m >= 0).all():
             raise InputError("bounds of the crossings' bias must be numbers from 0, one for each LRF sighting")
+        if len(self.delay_s) != len(self.frame) or not (np.abs(self.delay_s) <= MAX_DELAY_S).all():
+            raise InputError(
+                f"delays of LRF sightings must be seconds within +-{MAX_DELAY_S:g}, one for each sighting",
+                advice="Count each delay from the exposure of the frame that is nearest in time, on one clock.",
+            )
 
     def __len__(self) -> int:
         return len(self.frame)

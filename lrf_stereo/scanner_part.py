@@ -2,7 +2,8 @@
 
 Tangent of one scanner, as in SCANNER_TANGENT: world_from_lrf at the reference tilt (rotation on the left about
 the LRF origin, then translation), the tilt axis (two turns of its direction, two shifts of its foot point, both in the
-axis's own basis), then what may be wrong with the instrument: tilt gain, range bias, range scale, bearing zero.
+axis's own basis), then what may be wrong with the instrument: tilt gain, range bias, range scale, bearing zero, clock
+offset.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from network_calib.result import LRF_PARAMETER_NAMES
 
 # The names and order that the result file uses.
 SCANNER_TANGENT = LRF_PARAMETER_NAMES
-N_GEOMETRY, N_SCANNER = 10, 14
+N_GEOMETRY, N_SCANNER = 10, 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +31,8 @@ class ScannerPart:
         translations: (S, 3) LRF origin in world at the reference tilt.
         directions: (S, 3) unit tilt axes in world.
         foot_points: (S, 3) points of the axes nearest to the world's origin.
-        instrument: (S, 4) tilt gain, range bias (m), range scale, bearing zero (rad).
-        columns: (S, 14) tangent columns within this part, -1 where fixed.
+        instrument: (S, 5) as in `TiltingScanner.instrument`.
+        columns: (S, 15) tangent columns within this part, -1 where fixed.
     """
 
     rotations: FloatArray
@@ -49,7 +50,7 @@ class ScannerPart:
             translations=np.stack([s.world_from_lrf.translation for s in scanners]),
             directions=np.stack([s.axis_direction_in_world for s in scanners]),
             foot_points=np.stack([s.axis_point_in_world for s in scanners]),
-            instrument=np.array([[s.tilt_gain, s.range_bias_m, s.range_scale, s.bearing_zero_rad] for s in scanners]),
+            instrument=np.stack([s.instrument for s in scanners]),
             columns=columns,
         )
 
@@ -67,6 +68,7 @@ class ScannerPart:
                 range_bias_m=float(self.instrument[i, 1]),
                 range_scale=float(self.instrument[i, 2]),
                 bearing_zero_rad=float(self.instrument[i, 3]),
+                clock_offset_s=float(self.instrument[i, 4]),
             )
             for i, scanner in enumerate(scanners)
         )

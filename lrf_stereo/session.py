@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lrf_stereo.lrf_priors import InstrumentSigma
+from lrf_stereo.lrf_priors import Instruments, InstrumentSigma
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from network_calib.errors import InputError
 
@@ -19,13 +19,13 @@ class LrfSession:
         names: S names, in the order of the scanner indices.
         spots: sightings of the spot; frames are those of the cameras.
         settings: tilt settings of all scanners.
-        instrument: what the scanners may be wrong by; nothing by default.
+        instrument: what the scanners may be wrong by, one for all or one for each; nothing by default.
     """
 
     names: tuple[str, ...]
     spots: LrfSpots
     settings: TiltSettings
-    instrument: InstrumentSigma = field(default_factory=InstrumentSigma)
+    instrument: Instruments = field(default_factory=InstrumentSigma)
 
     def __post_init__(self) -> None:
         if not self.names or len(set(self.names)) != len(self.names):

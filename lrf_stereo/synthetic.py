@@ -193,35 +193,51 @@ def spots_on_plane(
 def sample(scene: LrfScene, *, rng: np.random.Generator, noise: SampleNoise | None = None) -> LrfSamples:
     """Report the spots: pixels in every camera that sees them, and a range and a bearing of a whole step for each."""
     noise = SampleNoise() if noise is None else noise
-    n, n_tilts, scale = len(scene.spots_in_world), len(scene.tilts_rad), noise.scale
+    n, scale = len(scene.spots_in_world), noise.scale
     tilts = scene.tilts_rad[scene.spot_tilt]
     normals = scene.scanner.world_from_lrf_at(tilts).rotation.as_matrix()[:, :, 2]
     height = noise.out_of_plane_bias_m + scale * noise.out_of_plane_m * rng.standard_normal(n)
     points = scene.spots_in_world + height[:, None] * normals
-    observations = _detect(scene.cameras, points, noise, rng)
+    seen = detect(scene.cameras, points, noise=noise, rng=rng)
+    observations = Observations.from_columns(
+        scene.cameras.names, camera=seen.camera, frame=seen.point, px=seen.px, sigma_px=seen.sigma_px
+    )
     range_m, bearing, _ = scene.scanner.measure(points, tilts)
     is_true = np.ones(n, dtype=bool)
     wrong = rng.choice(n, round(noise.wrong_pairs * n), replace=False)
     is_true[wrong] = False
     range_m[wrong], bearing[wrong] = _elsewhere(range_m[wrong], bearing[wrong], rng)
-    steps = ScanSteps()
+    spots = sightings(scene, range_m, bearing, noise=noise, rng=rng)
+    return LrfSamples(observations, spots, tilt_settings(scene, noise=noise, rng=rng), is_true, points)
+
+
+def sightings(
+    scene: LrfScene, range_m: FloatArray, bearing_rad: FloatArray, *, noise: SampleNoise, rng: np.random.Generator
+) -> LrfSpots:
+    """What the scanner reports of the scene's M spots, whose true ranges and bearings are given; frames 0..M-1."""
+    n, steps = len(range_m), ScanSteps()
     sigma_range = noise.lrf.range_m(range_m)
-    spots = LrfSpots(
+    rounded = steps.bearing_rad(np.round(steps.step(bearing_rad)))
+    return LrfSpots(
         frame=np.arange(n),
         setting=scene.spot_tilt,
-        range_m=range_m + scale * sigma_range * rng.standard_normal(n),
-        bearing_rad=bearing + scale * (steps.bearing_rad(np.round(steps.step(bearing))) - bearing),
+        range_m=range_m + noise.scale * sigma_range * rng.standard_normal(n),
+        bearing_rad=bearing_rad + noise.scale * (rounded - bearing_rad),
         out_of_plane_m=np.zeros(n),
         sigma_range_m=sigma_range,
         sigma_bearing_rad=np.full(n, noise.lrf.bearing_rad),
         sigma_out_of_plane_m=np.full(n, noise.out_of_plane_m),
     )
-    settings = TiltSettings(
+
+
+def tilt_settings(scene: LrfScene, *, noise: SampleNoise, rng: np.random.Generator) -> TiltSettings:
+    """The tilts as reported."""
+    n_tilts = len(scene.tilts_rad)
+    return TiltSettings(
         scanner=np.zeros(n_tilts, dtype=np.int64),
-        angle_rad=scene.tilts_rad + scale * noise.lrf.tilt_rad * rng.standard_normal(n_tilts),
+        angle_rad=scene.tilts_rad + noise.scale * noise.lrf.tilt_rad * rng.standard_normal(n_tilts),
         covariance_rad2=noise.lrf.tilt_rad**2 * np.eye(n_tilts),
     )
-    return LrfSamples(observations, spots, settings, is_true, points)
 
 
 def _cameras(world_from_room: RigidTransform, n_room_cameras: int, rng: np.random.Generator) -> Cameras:
@@ -245,16 +261,32 @@ def _cameras(world_from_room: RigidTransform, n_room_cameras: int, rng: np.rando
     )
 
 
-def _detect(cameras: Cameras, points: FloatArray, noise: SampleNoise, rng: np.random.Generator) -> Observations:
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """K detections of spots.
+
+    Attributes:
+        camera: (K,) camera index.
+        point: (K,) spot index.
+        px: (K, 2) noisy pixels.
+        sigma_px: (K,) their standard deviation.
+    """
+
+    camera: IntArray
+    point: IntArray
+    px: FloatArray
+    sigma_px: FloatArray
+
+
+def detect(cameras: Cameras, points: FloatArray, *, noise: SampleNoise, rng: np.random.Generator) -> Detections:
     """Pixels of spots (M, 3) in every camera whose image holds them."""
     camera = np.repeat(np.arange(len(cameras)), len(points))
-    frame = np.tile(np.arange(len(points)), len(cameras))
-    px, is_valid = cameras.img_from_world(camera, points[frame])
+    point = np.tile(np.arange(len(points)), len(cameras))
+    px, is_valid = cameras.img_from_world(camera, points[point])
     is_seen = is_valid & cameras.is_in_image(camera, px)
-    camera, frame, px = camera[is_seen], frame[is_seen], px[is_seen]
+    camera, point, px = camera[is_seen], point[is_seen], px[is_seen]
     noisy = px + noise.scale * noise.sigma_px * rng.standard_normal(px.shape)
-    sigma = np.full(len(px), noise.sigma_px)
-    return Observations.from_columns(cameras.names, camera=camera, frame=frame, px=noisy, sigma_px=sigma)
+    return Detections(camera, point, noisy, np.full(len(px), noise.sigma_px))
 
 
 def _elsewhere(range_m: FloatArray, bearing_rad: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

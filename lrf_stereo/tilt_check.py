@@ -12,7 +12,9 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from lrf_stereo.joint_problem import LrfData, NetworkData, build_joint_problem
+from lrf_stereo.held_cameras import CameraSpread, Sensitivity
+from lrf_stereo.joint_data import LrfData, NetworkData
+from lrf_stereo.joint_problem import build_joint_problem
 from lrf_stereo.lrf_block import TILTS
 from lrf_stereo.refine import LrfRefined
 from lrf_stereo.samples import TiltSettings
@@ -49,30 +51,40 @@ class TiltCheck:
         return bool(chi2.sf(self.chi2, len(self.setting)) < chi2.sf(sigma**2, 1))
 
 
-def check_tilts(refined: LrfRefined, network: NetworkData, data: LrfData) -> tuple[TiltCheck, ...]:
+def check_tilts(
+    refined: LrfRefined, network: NetworkData, data: LrfData, *, held: CameraSpread | None = None
+) -> tuple[TiltCheck, ...]:
     """Compare measured tilt angles with those that the used sightings ask for, for each scanner.
+
+    Args:
+        refined: the optimum.
+        network: the camera side.
+        data: the LRF side.
+        held: what held cameras may be wrong by; None where they are exact, or solved along.
 
     Returns:
         One check for each scanner; none at all where the spots do not determine the angles.
     """
     settings = data.settings
-    loose = TiltSettings(settings.scanner, settings.angle_rad, LOOSE_RAD**2 * np.eye(len(settings.angle_rad)))
+    angles = TiltSettings(settings.scanner, settings.angle_rad, LOOSE_RAD**2 * np.eye(len(settings.angle_rad)))
+    loose = replace(data, settings=angles)
     at_optimum = replace(network, cameras=refined.cameras, points=refined.points)
     is_used = located(refined.points)
     if network.is_held:
         with_lrf = np.zeros(len(is_used), dtype=bool)
         with_lrf[data.point[refined.is_inlier]] = True
         is_used &= with_lrf
-    problem, state = build_joint_problem(
-        at_optimum, refined.scanners, replace(data, settings=loose), refined.is_inlier, is_used, SquaredLoss()
-    )
+    problem, state = build_joint_problem(at_optimum, refined.scanners, loose, refined.is_inlier, is_used, SquaredLoss())
     state = solve(problem, state, EFFORT).state
     tilts = state.parts[TILTS]
     assert isinstance(tilts, TiltPart)
     try:
-        spread = covariance(problem, state).shared[-tilts.size :, -tilts.size :]
+        joint = covariance(problem, state).shared
     except LinAlgError:
         return ()
+    if held is not None:
+        joint = joint + Sensitivity.at(refined, network, loose).covariance(held, joint)
+    spread = joint[-tilts.size :, -tilts.size :]
     return tuple(_check(settings, tilts, spread, scanner) for scanner in range(settings.n_scanners))
 
 

@@ -145,7 +145,8 @@ class WorldFrame:
         name: for example "C0" (the first camera's frame), "floor", "given centres".
         unit: "m", or "unit" when no metric information was given.
         scale_source: words for a person: "baseline C0-C1 = 0.35 m", "none: |C0 C1| = 1".
-        scale_sigma: relative standard deviation of the scale; not part of the covariances.
+        scale_sigma: relative standard deviation of the scale; not part of the covariances, but where LRFs were solved
+            along: then it is within them.
     """
 
     name: str
@@ -182,7 +183,7 @@ class Provenance:
 LRF_PARAMETER_NAMES = (
     *("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "origin_x", "origin_y", "origin_z"),
     *("axis_turn_1_rad", "axis_turn_2_rad", "axis_shift_1", "axis_shift_2"),
-    *("tilt_gain", "range_bias_m", "range_scale", "bearing_zero_rad"),
+    *("tilt_gain", "range_bias_m", "range_scale", "bearing_zero_rad", "clock_offset_s"),
 )
 
 
@@ -196,8 +197,9 @@ class CalibratedLrf:
         reference_tilt_rad: the tilt of that pose.
         axis_direction_in_world: (3,) unit vector of the tilt axis; a growing tilt turns right-handed about it.
         axis_point_in_world: (3,) its point nearest to the world's origin.
-        instrument: (4,) tilt gain, range bias (m), range scale, bearing zero (rad).
-        covariance: (14, 14) in the order of LRF_PARAMETER_NAMES; rows of what was held are zero.
+        instrument: (5,) tilt gain, range bias (m), range scale, bearing zero (rad), clock offset (s): what the LRF's
+            stamps lack to the cameras'.
+        covariance: (15, 15) in the order of LRF_PARAMETER_NAMES; rows of what was held are zero.
         dx_m: the paper's offset of the mirror from the axis, forward.
         dz_m: the same, up.
         mount_roll_rad: how the LRF sits askew on the axis.
@@ -236,7 +238,7 @@ class CalibratedLrf:
 
     @property
     def sigma(self) -> FloatArray:
-        """(14,) standard deviations in the order of LRF_PARAMETER_NAMES."""
+        """(15,) standard deviations in the order of LRF_PARAMETER_NAMES."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 

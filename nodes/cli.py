@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from network_calib.errors import SpotcalError
+from nodes import cli_instruments, cli_sources
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from network_calib.formats.recording import Recording
     from network_calib.result import Calibration
-    from nodes.config import Resolved
     from nodes.config_model import RoomConfig
 
 EXIT_ERROR, EXIT_UNEXPECTED_RESULT, EXIT_INTERRUPTED = 2, 1, 130
@@ -27,8 +27,9 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+app.command()(cli_sources.detect)
 
-Source = Annotated[Path, typer.Argument(help="MultiCamSelfCal folder, or a .csv or .npz table of spots.")]
+Source = Annotated[Path, typer.Argument(help="A .csv or .npz table of spots, or a MultiCamSelfCal folder.")]
 CalibrationFile = Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.json.")]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="room.toml: cameras, anchor, options.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers; the same seed, the same result.")]
@@ -70,21 +71,22 @@ def calibrate(
 ) -> None:
     """Calibrate cameras from spot observations, and the LRFs of a session folder with lrf.csv."""
     from network_calib.formats.calibration_json import save
-    from nodes.config import load_room, resolve
+    from nodes.config import resolve
     from nodes.lrf_session import read_lrfs_beside, require_lrfs
     from nodes.solve import check_writable, solve, solve_lrfs
+    from nodes.terminal import print_notes
 
     check_writable(out)
-    room = None if config is None else load_room(config)
-    recording = _read(source, tolerance_ns=None if room is None else room.tolerance_ns)
-    lrfs = read_lrfs_beside(source, recording, room)
     console = _stderr(quiet=quiet)
+    room = _room(source, config, console)
+    recording = _read(source, room)
+    lrfs = read_lrfs_beside(source, recording, room)
     if cameras is not None:
         _refuse_camera_options(start=start, fix_intrinsics=fix_intrinsics)
         calibration = solve_lrfs(cameras, recording, require_lrfs(lrfs, source), rejection=_rejection(room), seed=seed)
     else:
         resolved = resolve(recording, room, fix_intrinsics=fix_intrinsics, start=start)
-        _print_notes(console, resolved)
+        print_notes(console, resolved.notes)
         calibration = solve(
             resolved,
             seed=seed,
@@ -114,16 +116,15 @@ def evaluate(calibration: CalibrationFile, source: Source, config: ConfigFile = 
 
     from network_calib.evaluate import evaluate as evaluate_spots
     from network_calib.formats.calibration_json import load
-    from nodes.config import load_room
     from nodes.matching import observations_of
     from nodes.show import evaluation_view
+    from nodes.terminal import print_notes
 
     loaded = load(calibration)
-    room = None if config is None else load_room(config)
-    recording = _read(source, tolerance_ns=None if room is None else room.tolerance_ns)
+    console = _stderr()
+    recording = _read(source, _room(source, config, console))
     observations, notes = observations_of(loaded, recording)
-    for note in (*recording.notes, *notes):
-        _stderr().print(f"note: {note}", markup=False, soft_wrap=True)
+    print_notes(console, (*recording.notes, *notes))
     evaluation = evaluate_spots(loaded, observations)
     Console().print(evaluation_view(evaluation, names=[camera.name for camera in loaded.cameras]))
 
@@ -148,8 +149,15 @@ def export(
     _stderr().print(f"Written to {out}", markup=False, soft_wrap=True)
 
 
+app.command()(cli_sources.spot)
+app.command()(cli_sources.cameras)
+app.command()(cli_instruments.devices)
+app.command()(cli_instruments.emulate)
+app.add_typer(cli_instruments.lrf, name="lrf")
+
+
 @app.command()
-def simulate(
+def simulate(  # noqa: PLR0913, PLR0917 — every option of a command is an argument
     name: Annotated[str, typer.Argument(help="Name of a synthetic room; an unknown name lists them all.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder to write; the name of the room by default.")] = None,
     seed: Seed = 0,
@@ -157,15 +165,29 @@ def simulate(
     noise_px: Annotated[float, typer.Option("--noise-px", min=0, help="Standard deviation per axis.")] = 0.2,
     missing: Annotated[float, typer.Option("--missing", min=0, max=1, help="Share of detections dropped.")] = 0.3,
     false: Annotated[float, typer.Option("--false", min=0, max=1, help="Share of false detections.")] = 0.1,
+    video: Annotated[
+        str | None, typer.Option("--video", metavar="h264|ffv1|images", help="Film the room, in place of detections.")
+    ] = None,
+    scene: Annotated[
+        str, typer.Option("--scene", metavar="clean|dark_room|bright_office|hard", help="What is filmed.")
+    ] = "clean",
 ) -> None:
-    """Write a synthetic recording with its truth: points, table.npz, room.toml, truth.json, tables of LRFs."""
-    from nodes.simulate import simulate_named
+    """Write a synthetic recording with its truth: points, table.npz, room.toml, truth.json, tables of LRFs, videos."""
+    from nodes.simulate import refuse_no_video_room, simulate_named
 
     folder = Path(name) if out is None else out
-    n_detections = simulate_named(
-        name, folder, seed=seed, n_frames=frames, noise_px=noise_px, missing=missing, false=false
-    )
-    _stderr().print(f"Written to {folder}: {n_detections} detections", markup=False, soft_wrap=True)
+    if video is not None:
+        refuse_no_video_room(name)
+        from nodes.video_simulation import VideoPlan, simulate_videos
+
+        recordings = simulate_videos(name, folder, VideoPlan(video, scene, seed, frames), console=_stderr())
+        told = " ".join(map(str, recordings))
+    else:
+        n_detections = simulate_named(
+            name, folder, seed=seed, n_frames=frames, noise_px=noise_px, missing=missing, false=false
+        )
+        told = f"{n_detections} detections"
+    _stderr().print(f"Written to {folder}: {told}", markup=False, soft_wrap=True)
 
 
 @app.command()
@@ -198,10 +220,26 @@ def paper(
     run_report(methods, out, n_runs=runs, seed=seed, console=Console(), progress_console=_stderr())
 
 
-def _read(source: Path, *, tolerance_ns: int | None) -> Recording:
-    from network_calib.formats.source import read_source
+def _room(source: Path, config: Path | None, console: Console) -> RoomConfig | None:
+    """The configuration that was named, or the one that `detect` wrote beside the table."""
+    from nodes.config import load_room
+    from nodes.room_file import room_beside
+    from nodes.terminal import print_notes
 
-    return read_source(source, tolerance_ns=tolerance_ns)
+    beside = room_beside(source) if config is None else None
+    if beside is not None:
+        print_notes(console, [f"cameras as described in {beside}"])
+    path = config or beside
+    return None if path is None else load_room(path)
+
+
+def _read(source: Path, room: RoomConfig | None) -> Recording:
+    from network_calib.formats.source import read_source
+    from nodes.room_file import sizes_of
+
+    if room is None:
+        return read_source(source)
+    return read_source(source, tolerance_ns=room.tolerance_ns, size_px=sizes_of(room))
 
 
 def _refuse_camera_options(*, start: str | None, fix_intrinsics: bool) -> None:
@@ -221,11 +259,6 @@ def _rejection(room: RoomConfig | None) -> float:
     return Options().rejection if given is None else given
 
 
-def _print_notes(console: Console, resolved: Resolved) -> None:
-    for note in resolved.notes:
-        console.print(f"note: {note}", markup=False, soft_wrap=True)
-
-
 def _print_calibration(calibration: Calibration) -> None:
     from rich.console import Console
 
@@ -235,15 +268,12 @@ def _print_calibration(calibration: Calibration) -> None:
 
 
 def _stderr(*, quiet: bool = False) -> Console:
-    from rich.console import Console
+    from nodes.terminal import stderr_console
 
-    return Console(stderr=True, quiet=quiet, highlight=False)
+    return stderr_console(quiet=quiet)
 
 
 def _print_error(message: str, advice: str) -> None:
-    from rich.text import Text
+    from nodes.terminal import print_error
 
-    text = Text.assemble(("error: ", "bold red"), message)
-    if advice:
-        text.append(f"\n{advice}", style="bold")
-    _stderr().print(text, soft_wrap=True)
+    print_error(message, advice)

@@ -168,12 +168,14 @@ class InstrumentConfig(_Strict):
         range_bias_m: of every range.
         range_scale: relative; a baseline must tell metres, or the ranges say nothing of it.
         bearing_zero_deg: of the scan's front.
+        clock_offset_ms: of the scanner's stamps against those of the cameras.
     """
 
     tilt_gain: NotNegative = 0.0
     range_bias_m: NotNegative = 0.0
     range_scale: NotNegative = 0.0
     bearing_zero_deg: NotNegative = 0.0
+    clock_offset_ms: NotNegative = 0.0
 
 
 class LrfConfig(_Strict):

@@ -1,7 +1,9 @@
 """Tables of LRFs beside the cameras' spots of a session: `lrf.csv`, what they saw, and `tilts.csv`, how they stood.
 
 `lrf.csv`: `lrf` (a name), `frame` (that of the cameras), `setting` (a row of tilts.csv), `range_m`, `bearing_rad`,
-`sigma_range_m`, `sigma_bearing_rad`, `sigma_out_of_plane_m`, and optionally `out_of_plane_m` (0 when left out).
+`sigma_range_m`, `sigma_bearing_rad`, `sigma_out_of_plane_m`, and optionally (0 when left out) `out_of_plane_m`,
+`bias_bound_m` (of a one-sided crossing: how far the spot may be off the plane, always to the same side) and `delay_s`
+(time of the beam less that of the cameras' exposure).
 `tilts.csv`: `lrf`, `setting` (a whole number, unique for its LRF), `angle_deg`, `sigma_deg` (0: trusted as it is).
 """
 
@@ -16,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from lrf_stereo.lrf_priors import InstrumentSigma
-from lrf_stereo.samples import LrfSpots, TiltSettings
+from lrf_stereo.samples import MAX_DELAY_S, LrfSpots, TiltSettings
 from lrf_stereo.session import LrfSession
 from network_calib.errors import InputError
 from network_calib.formats.csv_text import ColumnNames, csv_columns
@@ -29,11 +31,14 @@ from nodes.config_model import InstrumentConfig, RoomConfig
 LRF_FILE, TILT_FILE = "lrf.csv", "tilts.csv"
 # No scanner reaches further; a larger number is another unit.
 MAX_RANGE_M = 1000.0
+# A ball and a beam are centimetres wide; a larger number is another unit.
+MAX_BIAS_BOUND_M = 1.0
 _SPOT_NUMBERS = ("range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "sigma_out_of_plane_m")
+_OPTIONAL_NUMBERS = ("out_of_plane_m", "bias_bound_m", "delay_s")
 _SPOTS = ColumnNames(
     ("lrf", "frame", "setting", *_SPOT_NUMBERS),
-    ("lrf", "frame", "setting", *_SPOT_NUMBERS, "out_of_plane_m"),
-    f"expected lrf, frame, setting, {', '.join(_SPOT_NUMBERS)}, and optionally out_of_plane_m",
+    ("lrf", "frame", "setting", *_SPOT_NUMBERS, *_OPTIONAL_NUMBERS),
+    f"expected lrf, frame, setting, {', '.join(_SPOT_NUMBERS)}, and optionally {', '.join(_OPTIONAL_NUMBERS)}",
 )
 _TILT_NAMES = ("lrf", "setting", "angle_deg", "sigma_deg")
 _TILTS = ColumnNames(_TILT_NAMES, _TILT_NAMES, f"expected {', '.join(_TILT_NAMES)}")
@@ -47,8 +52,11 @@ _LIMITS: Limits = {
     "sigma_bearing_rad": (0.0, 2 * np.pi, "a number of radians > 0"),
     "sigma_out_of_plane_m": (0.0, MAX_RANGE_M, "a number > 0"),
     "angle_deg": (-360.0, 360.0, "a number within a turn"),
-    "sigma_deg": (-1.0, 90.0, "a number from 0 to 90"),
+    "sigma_deg": (0.0, 90.0, "a number from 0 to 90"),
+    "bias_bound_m": (0.0, MAX_BIAS_BOUND_M, f"a number from 0 to {MAX_BIAS_BOUND_M:g}"),
+    "delay_s": (-MAX_DELAY_S, MAX_DELAY_S, f"a number of seconds within +-{MAX_DELAY_S:g}"),
 }
+_MAY_BE_LOWEST = ("sigma_deg", "bias_bound_m", "delay_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,18 +115,20 @@ def read_lrf_session(folder: Path, config: RoomConfig | None = None) -> LrfSessi
     columns, lines = csv_columns(path, _SPOTS)
     frame = integers(path, "frame", columns["frame"], lines)
     refuse(path, "frame", columns["frame"], lines, frame < 0, "0 or more")
-    number = {name: _numbers(path, name, columns[name], lines) for name in _SPOT_NUMBERS}
-    if "out_of_plane_m" in columns:
-        number["out_of_plane_m"] = _numbers(path, "out_of_plane_m", columns["out_of_plane_m"], lines)
+    names = (*_SPOT_NUMBERS, *(name for name in _OPTIONAL_NUMBERS if name in columns))
+    number = dict.fromkeys(_OPTIONAL_NUMBERS, np.zeros(len(frame)))
+    number |= {name: _numbers(path, name, columns[name], lines) for name in names}
     spots = LrfSpots(
         frame=frame,
         setting=_settings(path, columns, lines, tilts),
         range_m=number["range_m"],
         bearing_rad=number["bearing_rad"],
-        out_of_plane_m=number.get("out_of_plane_m", np.zeros(len(frame))),
+        out_of_plane_m=number["out_of_plane_m"],
         sigma_range_m=number["sigma_range_m"],
         sigma_bearing_rad=number["sigma_bearing_rad"],
         sigma_out_of_plane_m=number["sigma_out_of_plane_m"],
+        bias_bound_m=number["bias_bound_m"],
+        delay_s=number["delay_s"],
     )
     try:
         return LrfSession(tilts.names, spots, tilts.settings, instrument_of(config, tilts.names))
@@ -127,22 +137,25 @@ def read_lrf_session(folder: Path, config: RoomConfig | None = None) -> LrfSessi
 
 
 def write_lrf_session(session: LrfSession, folder: Path) -> None:
-    """Write lrf.csv and tilts.csv, which `read_lrf_session` reads back; sigma of tilts only, no correlations."""
+    """Write lrf.csv and tilts.csv, which `read_lrf_session` reads back; sigma of tilts only, no correlations.
+
+    Optional columns are written where they hold anything but zero.
+    """
     settings, spots = session.settings, session.spots
     name = np.array(session.names, dtype=object)[settings.scanner]
     label = _labels(settings.scanner)
     sigma_deg = np.degrees(np.sqrt(np.diag(settings.covariance_rad2)))
     _write(folder / TILT_FILE, _TILT_NAMES, [name, label, np.degrees(settings.angle_rad), sigma_deg])
-    numbers = (*_SPOT_NUMBERS, "out_of_plane_m")
+    numbers = (*_SPOT_NUMBERS, *(name for name in _OPTIONAL_NUMBERS if getattr(spots, name).any()))
     columns = [name[spots.setting], spots.frame, label[spots.setting], *(getattr(spots, column) for column in numbers)]
     _write(folder / LRF_FILE, ("lrf", "frame", "setting", *numbers), columns)
 
 
-def instrument_of(config: RoomConfig | None, names: tuple[str, ...]) -> InstrumentSigma:
-    """What the instruments may be wrong by: one set of numbers for all LRFs of a session.
+def instrument_of(config: RoomConfig | None, names: tuple[str, ...]) -> tuple[InstrumentSigma, ...]:
+    """What each of the instruments may be wrong by.
 
     Raises:
-        InputError: the configuration names an LRF that the session does not have, or gives LRFs different numbers.
+        InputError: the configuration names an LRF that the session does not have.
     """
     entries = [] if config is None else config.lrfs
     for entry in entries:
@@ -150,15 +163,16 @@ def instrument_of(config: RoomConfig | None, names: tuple[str, ...]) -> Instrume
             known = ", ".join(names)
             raise InputError(f"lrfs: the session has no LRF {entry.name!r}{hint(entry.name, names)}; it has {known}")
     given = {entry.name: entry.sigma for entry in entries}
-    sigmas = [given.get(name, InstrumentConfig()) for name in names]
-    if any(sigma != sigmas[0] for sigma in sigmas):
-        raise InputError(
-            "lrfs: sigma differs between the LRFs, but one set of numbers holds for all of them",
-            advice="Give each LRF the same sigma, or calibrate them one after another with --cameras.",
-        )
-    first = sigmas[0]
+    return tuple(_instrument(given.get(name, InstrumentConfig())) for name in names)
+
+
+def _instrument(sigma: InstrumentConfig) -> InstrumentSigma:
     return InstrumentSigma(
-        first.tilt_gain, first.range_bias_m, first.range_scale, float(np.radians(first.bearing_zero_deg))
+        tilt_gain=sigma.tilt_gain,
+        range_bias_m=sigma.range_bias_m,
+        range_scale=sigma.range_scale,
+        bearing_zero_rad=float(np.radians(sigma.bearing_zero_deg)),
+        clock_offset_s=1e-3 * sigma.clock_offset_ms,
     )
 
 
@@ -203,10 +217,10 @@ def _settings(path: Path, columns: dict[str, list[str]], lines: Sequence[int], t
 
 
 def _numbers(path: Path, name: str, texts: list[str], lines: Sequence[int]) -> FloatArray:
-    """Numbers above the lower and not above the upper limit of their column."""
+    """Numbers within the limits of their column; most lower limits are excluded."""
     low, high, expected = _LIMITS[name]
     values = floats(path, name, texts, lines)
-    is_low = values < 0 if name == "sigma_deg" else values <= low
+    is_low = values < low if name in _MAY_BE_LOWEST else values <= low
     refuse(path, name, texts, lines, is_low | ~(values <= high), expected)
     return values
 

@@ -88,21 +88,33 @@ def lrf_room(name: str, *, rng: np.random.Generator, n_frames: int | None = None
     scene = paper_scene(
         rng=rng, n_spots_per_tilt=plan.n_spots_per_tilt, n_room_cameras=plan.n_room_cameras, mount_deg=(1.0, -0.5)
     )
-    noise = SampleNoise()
-    noise = replace(noise, lrf=replace(noise.lrf, tilt_rad=TILT_SIGMA_RAD))
-    samples = sample(scene, rng=rng, noise=noise)
-    waved = _waved(scene.cameras, scene.room, plan.n_waved if n_frames is None else n_frames, rng)
+    n_waved = plan.n_waved if n_frames is None else n_frames
+    return room_of(name, scene, SampleNoise(), rng=rng, n_waved=n_waved, is_given=plan.is_given)
+
+
+def room_of(
+    name: str, scene: LrfScene, noise: SampleNoise, *, rng: np.random.Generator, n_waved: int, is_given: bool
+) -> LrfRoom:
+    """The session of a scene: spots waved all over its room, then the crossings, at tilts of a tilt unit's sigma."""
+    samples = sample(scene, rng=rng, noise=replace(noise, lrf=replace(noise.lrf, tilt_rad=TILT_SIGMA_RAD)))
+    waved = _waved(scene.cameras, scene.room, n_waved, rng)
     trajectory = np.concatenate([waved, samples.spots_in_world])
-    return LrfRoom(Room(name, scene.cameras, trajectory, FRAME_RATE_HZ), scene, samples, plan.is_given)
+    return LrfRoom(Room(name, scene.cameras, trajectory, FRAME_RATE_HZ), scene, samples, is_given)
 
 
 def simulate_lrf_room(
     name: str, folder: Path, *, seed: int, n_frames: int | None, noise_px: float, missing: float, false: float
 ) -> Sighting:
-    """Write a named session: the cameras' spots, lrf.csv, tilts.csv, room.toml, and truth.json with the LRF."""
+    """Write a named session, see `write_lrf_room`."""
     rng = np.random.default_rng(seed)
     built = lrf_room(name, rng=rng, n_frames=n_frames)
     sighting = observe(built.room, rng=rng, sigma_px=noise_px, missing=missing, false_detections=false)
+    write_lrf_room(built, sighting, folder, noise_px=noise_px, seed=seed)
+    return sighting
+
+
+def write_lrf_room(built: LrfRoom, sighting: Sighting, folder: Path, *, noise_px: float, seed: int) -> None:
+    """Write the cameras' spots, lrf.csv, tilts.csv, room.toml, and truth.json with the LRF."""
     folder.mkdir(parents=True, exist_ok=True)
     write_svoboda_recording(sighting.observations, size_px=built.room.cameras.size_px, folder=folder)
     write_npz(sighting.observations, folder / "table.npz")
@@ -111,7 +123,6 @@ def simulate_lrf_room(
     (folder / "room.toml").write_text(text, encoding="utf-8")
     truth = truth_calibration(built.room, sighting, noise_px=noise_px, seed=seed)
     save(replace(truth, lrfs=(true_lrf(built.scene.scanner, built.scene.tilts_rad),)), folder / "truth.json")
-    return sighting
 
 
 def given_room_toml(room: Room) -> str:
@@ -143,7 +154,7 @@ def true_lrf(scanner: TiltingScanner, tilts_rad: FloatArray) -> CalibratedLrf:
         reference_tilt_rad=float(tilts_rad[0]),
         axis_direction_in_world=scanner.axis_direction_in_world,
         axis_point_in_world=scanner.axis_point_in_world,
-        instrument=np.array([scanner.tilt_gain, scanner.range_bias_m, scanner.range_scale, scanner.bearing_zero_rad]),
+        instrument=scanner.instrument,
         covariance=np.zeros((n, n)),
         dx_m=dx_m,
         dz_m=dz_m,

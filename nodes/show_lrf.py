@@ -20,7 +20,7 @@ def lrf_tables(lrfs: Sequence[CalibratedLrf]) -> list[RenderableType]:
     if not lrfs:
         return []
     tables = [_pose_table(lrfs), _axis_table(lrfs), _paper_table(lrfs), _instrument_table(lrfs), _tilt_table(lrfs)]
-    return [*tables, _sighting_table(lrfs), *(_held(lrf) for lrf in lrfs)]
+    return [*tables, _sighting_table(lrfs), *(_held(lrf) for lrf in lrfs), *_notes(lrfs)]
 
 
 def _pose_table(lrfs: Sequence[CalibratedLrf]) -> RenderableType:
@@ -65,10 +65,10 @@ def _paper_table(lrfs: Sequence[CalibratedLrf]) -> RenderableType:
 
 
 def _instrument_table(lrfs: Sequence[CalibratedLrf]) -> RenderableType:
-    heads = ("tilt gain", "range bias, mm", "range scale", "bearing zero, °")
+    heads = ("tilt gain", "range bias, mm", "range scale", "bearing zero, °", "clock offset, ms")
     table = plain_table("Instruments", "LRF", *heads)
     for lrf in lrfs:
-        units = (1.0, 1e3, 1.0, math.degrees(1))
+        units = (1.0, 1e3, 1.0, math.degrees(1), 1e3)
         cells = [
             plus_minus(unit * float(value), unit * float(sigma))
             for unit, value, sigma in zip(units, lrf.instrument, lrf.sigma[INDEX["tilt_gain"] :], strict=True)
@@ -102,8 +102,16 @@ def _sighting_table(lrfs: Sequence[CalibratedLrf]) -> RenderableType:
 
 
 def _held(lrf: CalibratedLrf) -> Text:
-    held = ", ".join(name.replace("_", " ").removesuffix(" rad").removesuffix(" m") for name in lrf.held)
+    names = [name.replace("_", " ") for name in lrf.held]
+    held = ", ".join(name.removesuffix(" rad").removesuffix(" m").removesuffix(" s") for name in names)
     return Text.assemble((f"{lrf.name}: ", "bold"), f"held, not estimated: {held or 'nothing'}.")
+
+
+def _notes(lrfs: Sequence[CalibratedLrf]) -> list[Text]:
+    """What of the tables above is not of the joint solve, where there was one."""
+    if all("cameras" in lrf.held for lrf in lrfs):
+        return []
+    return [Text("Hold-out and other seeds above: of the cameras alone, before the LRFs joined.")]
 
 
 def _metres(value: float, sigma: float) -> str:

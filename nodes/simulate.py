@@ -37,10 +37,25 @@ def simulate_named(
             name, folder, seed=seed, n_frames=n_frames, noise_px=noise_px, missing=missing, false=false
         )
         return len(sighting.observations)
-    if name not in ROOM_NAMES:
-        raise InputError(f"no room {name!r}, expected one of {', '.join((*ROOM_NAMES, *LRF_PLANS))}")
+    _refuse_unknown(name)
     rng = np.random.default_rng(seed)
     built = room(name, rng=rng, n_frames=n_frames)
     sighting = observe(built, rng=rng, sigma_px=noise_px, missing=missing, false_detections=false)
     write_simulation(built, sighting, folder, noise_px=noise_px, seed=seed)
     return len(sighting.observations)
+
+
+def refuse_no_video_room(name: str) -> None:
+    """Rooms that cannot be filmed.
+
+    Raises:
+        InputError: an unknown name, or a room with a laser range finder.
+    """
+    if name in LRF_PLANS:
+        raise InputError(f"{name} holds a laser range finder and is not filmed: leave out --video")
+    _refuse_unknown(name)
+
+
+def _refuse_unknown(name: str) -> None:
+    if name not in ROOM_NAMES:
+        raise InputError(f"no room {name!r}, expected one of {', '.join((*ROOM_NAMES, *LRF_PLANS))}")

@@ -17,7 +17,7 @@ from nodes.cli import app
 from nodes.config import load_room
 from nodes.config_model import RoomConfig
 
-DOCS = ("README.md", "docs/conventions.md", "docs/algorithm.md")
+DOCS = ("README.md", "docs/conventions.md", "docs/algorithm.md", "docs/hardware.md")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
@@ -46,7 +46,9 @@ def heading_anchors(name):
 
 
 def options_of(command):
-    return {option for parameter in command.params for option in parameter.opts if option.startswith("--")} | {"--help"}
+    """Of a command, and of all commands of a group."""
+    own = {option for parameter in command.params for option in parameter.opts if option.startswith("--")}
+    return own.union({"--help"}, *map(options_of, getattr(command, "commands", {}).values()))
 
 
 @pytest.mark.parametrize("name", [name for name in DOCS if blocks_of(name, "sh")])
@@ -61,7 +63,7 @@ def test_every_shell_command_runs(name, tmp_path):
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=240,
     )
     assert done.returncode == 0, done.stderr
 

@@ -19,7 +19,9 @@ from network_calib.formats.strict_json import Node
 from network_calib.observations import FloatArray
 from network_calib.result import LRF_PARAMETER_NAMES, CalibratedLrf
 
-INSTRUMENT_NAMES = ("tilt_gain", "range_bias_m", "range_scale", "bearing_zero_rad")
+INSTRUMENT_NAMES = ("tilt_gain", "range_bias_m", "range_scale", "bearing_zero_rad", "clock_offset_s")
+# The last parameter may be missing everywhere: it then is zero and held.
+CLOCK = "clock_offset_s"
 PAPER_NAMES = ("dx_m", "dz_m", "mount_roll_rad", "mount_yaw_rad")
 # Beside parameters, what else may have been held.
 OTHERS_HELD = ("tilt_angles", "cameras")
@@ -64,11 +66,13 @@ def read_lrf(node: Node, *, world: str) -> CalibratedLrf:
     )
     name = fields["name"].text()
     pose = read_pose(fields["world_from_lrf"], target=f"world {world}", source=name)
-    covariance = read_covariance(fields["covariance"], LRF_PARAMETER_NAMES)
+    n_left_out = int(not _has_clock(fields["instrument"]))
+    names = LRF_PARAMETER_NAMES[: len(LRF_PARAMETER_NAMES) - n_left_out]
+    covariance = read_covariance(fields["covariance"], names)
     if covariance is not None:
-        check_sigma(fields["sigma"], covariance, LRF_PARAMETER_NAMES)
+        check_sigma(fields["sigma"], covariance, names)
     direction, point = _axis(fields["axis"])
-    instrument = _numbers(fields["instrument"], INSTRUMENT_NAMES)
+    instrument = _numbers(fields["instrument"], INSTRUMENT_NAMES[: len(INSTRUMENT_NAMES) - n_left_out])
     for k in (0, 2):
         if not instrument[k] > 0:
             fields["instrument"].faults.append(
@@ -85,8 +89,8 @@ def read_lrf(node: Node, *, world: str) -> CalibratedLrf:
         reference_tilt_rad=fields["reference_tilt_rad"].number(),
         axis_direction_in_world=direction,
         axis_point_in_world=point,
-        instrument=instrument,
-        covariance=np.zeros((len(LRF_PARAMETER_NAMES),) * 2) if covariance is None else covariance,
+        instrument=np.pad(instrument, (0, n_left_out)),
+        covariance=np.pad(np.zeros((len(names),) * 2) if covariance is None else covariance, (0, n_left_out)),
         dx_m=dx_m,
         dz_m=dz_m,
         mount_roll_rad=roll,
@@ -99,8 +103,12 @@ def read_lrf(node: Node, *, world: str) -> CalibratedLrf:
         range_rms_m=counts["range_rms_m"].number_or_nan(0.0),
         bearing_rms_rad=counts["bearing_rms_rad"].number_or_nan(0.0),
         out_of_plane_rms_m=counts["out_of_plane_rms_m"].number_or_nan(0.0),
-        held=tuple(item.text(*LRF_PARAMETER_NAMES, *OTHERS_HELD) for item in fields["held"].items()),
+        held=(*(CLOCK,) * n_left_out, *(item.text(*names, *OTHERS_HELD) for item in fields["held"].items())),
     )
+
+
+def _has_clock(instrument: Node) -> bool:
+    return not isinstance(instrument.value, dict) or CLOCK in instrument.value
 
 
 def _numbers(node: Node, names: tuple[str, ...], *, minimum: float = -math.inf) -> FloatArray:

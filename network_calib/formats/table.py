@@ -1,10 +1,12 @@
 """Spot observations as a columnar table, in CSV (UTF-8, one header line, commas) or NPZ.
 
 Columns: `camera` (a name); `frame` (a whole number >= 0, equal for one instant) or `stamp_ns` (a whole number on a
-common clock), or both; `x_px`, `y_px`; optionally `sigma_px` (> 0; empty in CSV, NaN in NPZ where unknown). In NPZ the
-columns are arrays of one length; `camera` holds text, or indices into a further array `camera_names`.
+common clock), or both; `x_px`, `y_px`; optionally `sigma_px` (> 0; empty in CSV, NaN in NPZ where unknown) and `score`
+(0..1). In NPZ the columns are arrays of one length; `camera` holds text, or indices into a further array
+`camera_names`.
 
-Without `frame`, stamps are grouped (`timing.py`). A table knows no image sizes: they come from the room configuration.
+Without `frame`, stamps are grouped (`timing.py`). With `score` a camera may have several rows in a frame, candidates of
+which one is chosen on reading (`choose.py`). A table knows no image sizes: they come from the room configuration.
 """
 
 from __future__ import annotations
@@ -12,10 +14,13 @@ from __future__ import annotations
 import csv
 import math
 import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from network_calib.candidates import Candidates
 from network_calib.errors import InputError
 from network_calib.formats.csv_text import ColumnNames, csv_columns
 from network_calib.formats.recording import MAX_FILE_BYTES, Recording, check_file_size, digest, natural_key
@@ -26,40 +31,60 @@ from network_calib.timing import group_by_stamp
 _COLUMNS = ColumnNames(
     REQUIRED,
     ("camera", *NUMBERS),
-    f"expected {', '.join(REQUIRED)}, and frame or stamp_ns, and optionally sigma_px",
+    f"expected {', '.join(REQUIRED)}, and frame or stamp_ns, and optionally sigma_px and score",
 )
+# Of the robust search when candidates are chosen on reading: the same table gives the same observations.
+CHOICE_SEED = 0
+Sizes = Mapping[str, tuple[int, int]]
 
 
-def read_csv(path: Path, *, tolerance_ns: int | None = None) -> Recording:
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """A checked table: camera names, (K,) camera indices, number columns."""
+
+    names: tuple[str, ...]
+    camera: IntArray
+    columns: Columns
+
+
+def read_csv(path: Path, *, tolerance_ns: int | None = None, size_px: Sizes | None = None) -> Recording:
     """Read a CSV table; cameras are ordered by name, numbers inside names by value.
+
+    Args:
+        path: file.
+        tolerance_ns: for tables without frame numbers, see `timing.group_by_stamp`.
+        size_px: image sizes by camera name, of use where candidates are chosen.
 
     Raises:
         InputError: names file, line, column, value and what was expected.
     """
-    columns, rows = csv_columns(path, _COLUMNS)
-    arrays = {name: parse_column(path, name, columns[name], rows) for name in columns if name != "camera"}
-    names = tuple(sorted(set(columns["camera"]), key=natural_key))
-    if "" in names:
-        raise InputError(f"{path}, line {rows[columns['camera'].index('')]}, column camera: empty, expected a name")
-    index = {name: k for k, name in enumerate(names)}
-    camera = np.fromiter(map(index.__getitem__, columns["camera"]), dtype=np.int64, count=len(rows))
-    return _recording(path, names, camera, arrays, tolerance_ns=tolerance_ns)
+    return _recording(path, _csv_rows(path), tolerance_ns=tolerance_ns, size_px=size_px)
 
 
-def read_npz(path: Path, *, tolerance_ns: int | None = None) -> Recording:
-    """Read an NPZ table; pickled content is never loaded.
+def read_npz(path: Path, *, tolerance_ns: int | None = None, size_px: Sizes | None = None) -> Recording:
+    """Read an NPZ table; pickled content is never loaded. Arguments as of `read_csv`.
 
     Raises:
         InputError: no NPZ file, a column is missing, of the wrong type or length, or holds a value out of range.
     """
-    arrays = _npz_arrays(path)
-    names, camera = _npz_cameras(path, arrays)
-    kept = {name: parse_column(path, name, arrays[name], None) for name in arrays if name in NUMBERS}
-    return _recording(path, names, camera, kept, tolerance_ns=tolerance_ns)
+    return _recording(path, _npz_rows(path), tolerance_ns=tolerance_ns, size_px=size_px)
 
 
-def write_csv(observations: Observations, path: Path) -> None:
-    """Write a CSV table that `read_csv` reads back exactly."""
+def read_candidates(path: Path, *, tolerance_ns: int | None = None) -> Candidates:
+    """Read a .csv or .npz table with scores, every row of it.
+
+    Raises:
+        InputError: as of `read_csv` and `read_npz`; or the table has no scores.
+    """
+    rows = _npz_rows(path) if path.suffix.lower() == ".npz" else _csv_rows(path)
+    if rows.columns.score is None:
+        raise InputError(f"{path} has no column score")
+    frame, _ = _frames(path, rows, tolerance_ns=tolerance_ns)
+    return _candidates(path, rows, frame, rows.columns.score)
+
+
+def write_csv(observations: Observations | Candidates, path: Path) -> None:
+    """Write a CSV table that `read_csv`, or of candidates `read_candidates`, reads back exactly."""
     names = np.array(observations.camera_names, dtype=object)
     columns: list[list[object]] = [names[observations.camera].tolist(), observations.frame.tolist()]
     header = ["camera", "frame"]
@@ -71,14 +96,17 @@ def write_csv(observations: Observations, path: Path) -> None:
     if np.isfinite(observations.sigma_px).any():
         header.append("sigma_px")
         columns.append(["" if math.isnan(sigma) else sigma for sigma in observations.sigma_px.tolist()])
+    if isinstance(observations, Candidates):
+        header.append("score")
+        columns.append(observations.score.tolist())
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(zip(*columns, strict=True))
 
 
-def write_npz(observations: Observations, path: Path) -> None:
-    """Write an NPZ table that `read_npz` reads back exactly."""
+def write_npz(observations: Observations | Candidates, path: Path) -> None:
+    """Write an NPZ table that `read_npz`, or of candidates `read_candidates`, reads back exactly."""
     columns: dict[str, np.ndarray] = {
         "camera_names": np.array(observations.camera_names),
         "camera": observations.camera,
@@ -89,33 +117,95 @@ def write_npz(observations: Observations, path: Path) -> None:
     }
     if observations.stamp_ns is not None:
         columns["stamp_ns"] = observations.stamp_ns
+    if isinstance(observations, Candidates):
+        columns["score"] = observations.score
     np.savez_compressed(path, allow_pickle=False, **columns)
 
 
-def _recording(
-    path: Path,
-    names: tuple[str, ...],
-    camera: IntArray,
-    arrays: dict[str, IntArray | FloatArray],
-    *,
-    tolerance_ns: int | None,
-) -> Recording:
-    columns = Columns.of(path, arrays)
-    notes: tuple[str, ...] = ()
-    frame = columns.frame
-    if frame is None:
-        assert columns.stamp_ns is not None  # Columns.of asks for one of the two
-        frame = group_by_stamp(columns.stamp_ns, camera, tolerance_ns=tolerance_ns, camera_names=names)
-        notes = (f"{path.name}: {len(camera)} detections grouped by stamp into {len(np.unique(frame))} instants",)
-    try:
-        observations = Observations.from_columns(
-            names, camera=camera, frame=frame, px=columns.px, sigma_px=columns.sigma_px, stamp_ns=columns.stamp_ns
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error.message}", advice=error.advice) from None
+def _csv_rows(path: Path) -> _Rows:
+    columns, lines = csv_columns(path, _COLUMNS)
+    arrays = {name: parse_column(path, name, columns[name], lines) for name in columns if name != "camera"}
+    names = tuple(sorted(set(columns["camera"]), key=natural_key))
+    if "" in names:
+        raise InputError(f"{path}, line {lines[columns['camera'].index('')]}, column camera: empty, expected a name")
+    index = {name: k for k, name in enumerate(names)}
+    camera = np.fromiter(map(index.__getitem__, columns["camera"]), dtype=np.int64, count=len(lines))
+    return _Rows(names, camera, Columns.of(path, arrays))
+
+
+def _npz_rows(path: Path) -> _Rows:
+    arrays = _npz_arrays(path)
+    names, camera = _npz_cameras(path, arrays)
+    numbers = {name: parse_column(path, name, arrays[name], None) for name in arrays if name in NUMBERS}
+    return _Rows(names, camera, Columns.of(path, numbers))
+
+
+def _recording(path: Path, rows: _Rows, *, tolerance_ns: int | None, size_px: Sizes | None) -> Recording:
+    frame, notes = _frames(path, rows, tolerance_ns=tolerance_ns)
+    columns = rows.columns
+    if columns.score is None:
+        try:
+            observations = Observations.from_columns(
+                rows.names,
+                camera=rows.camera,
+                frame=frame,
+                px=columns.px,
+                sigma_px=columns.sigma_px,
+                stamp_ns=columns.stamp_ns,
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error.message}", advice=error.advice) from None
+    else:
+        observations, told = _chosen(path, _candidates(path, rows, frame, columns.score), size_px)
+        notes += told
     return Recording(
         path.name, observations, (), None, notes, digest(observations), is_frame_given=columns.frame is not None
     )
+
+
+def _frames(path: Path, rows: _Rows, *, tolerance_ns: int | None) -> tuple[IntArray, tuple[str, ...]]:
+    """Frame numbers (K,), given or from the stamps, and what to tell of them."""
+    columns, camera = rows.columns, rows.camera
+    if columns.frame is not None:
+        return columns.frame, ()
+    assert columns.stamp_ns is not None  # Columns.of asks for one of the two
+    if columns.score is None:
+        frame = group_by_stamp(columns.stamp_ns, camera, tolerance_ns=tolerance_ns, camera_names=rows.names)
+    else:  # candidates of one picture share its stamp and count once
+        pictures, of_row = np.unique(np.stack([camera, columns.stamp_ns]), axis=1, return_inverse=True)
+        frame = group_by_stamp(pictures[1], pictures[0], tolerance_ns=tolerance_ns, camera_names=rows.names)[of_row]
+    told = f"{path.name}: {len(camera)} detections grouped by stamp into {len(np.unique(frame))} instants"
+    return frame, (told,)
+
+
+def _candidates(path: Path, rows: _Rows, frame: IntArray, score: FloatArray) -> Candidates:
+    columns = rows.columns
+    try:
+        return Candidates.from_columns(
+            rows.names,
+            camera=rows.camera,
+            frame=frame,
+            px=columns.px,
+            score=score,
+            sigma_px=columns.sigma_px,
+            stamp_ns=columns.stamp_ns,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}", advice=error.advice) from None
+
+
+def _chosen(path: Path, candidates: Candidates, size_px: Sizes | None) -> tuple[Observations, tuple[str, ...]]:
+    """One row of each camera and frame, and what to tell of the choice."""
+    from network_calib.choose import choose
+
+    chosen = choose(candidates, rng=np.random.default_rng(CHOICE_SEED), size_px=size_px)
+    if not chosen.n_several:
+        return chosen.observations, ()
+    told = (
+        f"{path.name}: of {chosen.n_several} pictures with several candidates, the other cameras preferred "
+        f"another than the best-scored in {chosen.n_preferred} and refused all in {chosen.n_refused}"
+    )
+    return chosen.observations, (told,)
 
 
 def _npz_arrays(path: Path) -> dict[str, np.ndarray]:

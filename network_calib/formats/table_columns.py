@@ -12,7 +12,7 @@ from network_calib.errors import InputError
 from network_calib.observations import FloatArray, IntArray
 
 REQUIRED = ("camera", "x_px", "y_px")
-NUMBERS = ("frame", "stamp_ns", "x_px", "y_px", "sigma_px")
+NUMBERS = ("frame", "stamp_ns", "x_px", "y_px", "sigma_px", "score")
 # No image is as wide as this; a larger number is another unit or a broken file.
 MAX_PIXEL = 1e6
 
@@ -28,12 +28,14 @@ class Columns:
         sigma_px: (K,), NaN where unknown.
         frame: (K,) or None.
         stamp_ns: (K,) or None; one of the two is there.
+        score: (K,) or None: then a camera has at most one row in a frame.
     """
 
     px: FloatArray
     sigma_px: FloatArray
     frame: IntArray | None
     stamp_ns: IntArray | None
+    score: FloatArray | None
 
     @classmethod
     def of(cls, path: Path, arrays: dict[str, IntArray | FloatArray]) -> Columns:
@@ -47,7 +49,8 @@ class Columns:
         px = np.stack([arrays["x_px"], arrays["y_px"]], axis=1).astype(np.float64)
         sigma = arrays.get("sigma_px", np.full(len(px), np.nan)).astype(np.float64)
         frame, stamp = arrays.get("frame"), arrays.get("stamp_ns")
-        return cls(px, sigma, _as_int(frame), _as_int(stamp))
+        score = arrays.get("score")
+        return cls(px, sigma, _as_int(frame), _as_int(stamp), None if score is None else score.astype(np.float64))
 
 
 def parse_column(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -> IntArray | FloatArray:
@@ -68,6 +71,9 @@ def parse_column(path: Path, name: str, raw: Raw, lines: Sequence[int] | None) -
         refuse(path, name, raw, lines, (values <= 0) | (values > MAX_PIXEL), "a number > 0, or nothing")
         return values
     values = floats(path, name, raw, lines)
+    if name == "score":
+        refuse(path, name, raw, lines, ~((values >= 0) & (values <= 1)), "a number from 0 to 1")
+        return values
     refuse(path, name, raw, lines, ~(np.abs(values) <= MAX_PIXEL), f"a number within +-{MAX_PIXEL:g}")
     return values
 

@@ -22,7 +22,7 @@ _EXPECTED = (
     "Expected rtsp://user:password@host:554/path, /dev/video0 or usb:0, a video file, a folder of images, "
     "or a folder with a pattern such as images/cam1_*.png."
 )
-_LIVE_SCHEMES = ("rtsp", "rtsps", "http", "https")
+_LIVE_SCHEMES = ("rtsp", "rtsps")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ def open_source(given: str | Path, options: SourceOptions | None = None) -> Fram
 
     | given                                          | source                                      |
     |------------------------------------------------|---------------------------------------------|
-    | `rtsp://`, `rtsps://`, `http://`, `https://`   | live stream                                 |
+    | `rtsp://`, `rtsps://`                          | live stream                                 |
     | `/dev/video0`, `usb:0`                         | V4L2 device                                 |
     | a folder                                       | its images                                  |
     | a folder and a pattern, `images/cam1_*.png`    | those images of it                          |

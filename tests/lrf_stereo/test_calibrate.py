@@ -103,6 +103,13 @@ def test_one_wrong_pair_in_five_changes_nothing():
     assert right / (66 * N_RUNS) >= 0.99
 
 
+@pytest.mark.parametrize(("wrong", "expected"), [(0.2, []), (0.4, ["lrf outliers"])])
+def test_many_wrong_pairs_are_doubted(wrong, expected):
+    # A quarter is the limit; of 66 pairs one or two wrong ones may agree by chance.
+    data, _ = a_session(13, noise=SampleNoise(wrong_pairs=wrong))
+    assert codes(joint(data)) == expected
+
+
 def test_stated_covariance_is_that_of_the_errors():
     squared, surprises = [], []
     for run in range(N_COVERED):

@@ -31,7 +31,14 @@ def a_scanner(rng):
         range_bias_m=rng.uniform(-0.02, 0.02),
         range_scale=rng.uniform(0.98, 1.02),
         bearing_zero_rad=rng.uniform(-0.02, 0.02),
+        clock_offset_s=rng.uniform(-0.1, 0.1),
     )
+
+
+def whitening_of(rng, n):
+    """(3, 3, n) lower triangles with 0.5 to 10 on the diagonal, as of a Cholesky factor."""
+    below = np.tril(np.ones((3, 3)), -1)[:, :, None] * rng.uniform(-2, 2, (3, 3, n))
+    return below + np.eye(3)[:, :, None] * rng.uniform(0.5, 10, (3, n))
 
 
 def everything_free():
@@ -55,7 +62,9 @@ def case(request):
         group=setting,
         point=np.arange(20),
         measured=rng.uniform(-1, 1, (3, 20)),
-        inverse_sigma=rng.uniform(0.5, 10, (3, 20)),
+        whitening=whitening_of(rng, 20),
+        velocity=rng.uniform(-1, 1, (3, 20)),
+        delay_s=rng.uniform(-0.1, 0.1, 20),
         scanner_of_setting=SCANNER_OF,
         reference_rad=np.array([scanner.reference_tilt_rad for scanner in scanners]),
         columns=np.column_stack([of_scanner[SCANNER_OF], of_tilt + of_scanner.size]),
@@ -75,24 +84,36 @@ def moved(parts, column, step):
 ALL = slice(0, 20)
 
 
+def raw(block, parts, points):
+    """(3, 20) residuals before they were whitened."""
+    return np.linalg.solve(block.whitening.transpose(2, 0, 1), block.residual(parts, points, ALL).T[:, :, None])[
+        :, :, 0
+    ].T
+
+
 def test_residual_is_what_the_scanner_measures(case):
     scanners, points, block, parts = case
-    residual = block.residual(parts, points, ALL) / block.inverse_sigma + block.measured
+    residual = raw(block, parts, points) + block.measured
     for k, t in enumerate(block.group.tolist()):
-        range_m, bearing, height = scanners[SCANNER_OF[t]].measure(points[:, k][None], TILTS_RAD[t])
-        # Two orders of the same twenty products of numbers below 10: 20 * 10 * 2e-16, and some for arctan2.
-        assert residual[0, k] == pytest.approx(range_m[0], abs=1e-13)
-        assert np.sin(residual[1, k] - bearing[0]) == pytest.approx(0, abs=1e-13)
-        assert residual[2, k] == pytest.approx(height[0], abs=1e-13)
+        scanner = scanners[SCANNER_OF[t]]
+        late_s = block.delay_s[k] + scanner.clock_offset_s
+        velocity = scanner.world_from_lrf_at(TILTS_RAD[t]).rotation.apply(block.velocity[:, k])
+        at_beam = points[:, k] + velocity * late_s
+        range_m, bearing, height = scanner.measure(at_beam[None], TILTS_RAD[t])
+        # Two orders of the same twenty products of numbers below 10: 20 * 10 * 2e-16, and some for arctan2; then
+        # whitened and back, by triangles whose inverses have entries below 2 + 4 * 2 * 2 + 8 * 4.
+        assert residual[0, k] == pytest.approx(range_m[0], abs=1e-11)
+        assert np.sin(residual[1, k] - bearing[0]) == pytest.approx(0, abs=1e-11)
+        assert residual[2, k] == pytest.approx(height[0], abs=1e-11)
 
 
 def test_bearing_residual_is_wrapped(case):
     _, points, block, parts = case
-    before = block.residual(parts, points, ALL)[1] / block.inverse_sigma[1]
+    before = raw(block, parts, points)[1]
     block.measured[1] += 2 * np.pi
-    after = block.residual(parts, points, ALL)[1] / block.inverse_sigma[1]
-    assert np.abs(after).max() <= np.pi + 1e-12
-    assert np.abs(np.sin(after - before)).max() < 1e-12
+    after = raw(block, parts, points)[1]
+    assert np.abs(after).max() <= np.pi + 1e-11
+    assert np.abs(np.sin(after - before)).max() < 1e-11
 
 
 @pytest.mark.parametrize("column", range(N_COLUMNS))
@@ -196,11 +217,11 @@ def test_instrument_prior_is_over_its_sigma(case):
     columns = np.full((2, N_SCANNER), -1)
     columns[:, N_GEOMETRY + 1] = [0, 1]
     part = ScannerPart.from_scanners(case[0], columns)
-    prior = InstrumentPrior.of(part, InstrumentSigma(range_bias_m=0.01), 5)
+    prior = InstrumentPrior.of(part, [InstrumentSigma(range_bias_m=0.01), InstrumentSigma(range_bias_m=0.02)], 5)
     residual, jacobian = prior.linearise({**parts, SCANNERS: part})
-    assert residual == pytest.approx([s.range_bias_m / 0.01 for s in case[0]], rel=1e-12)
+    assert residual == pytest.approx([case[0][0].range_bias_m / 0.01, case[0][1].range_bias_m / 0.02], rel=1e-12)
     assert prior.columns.ravel().tolist() == [5, 6]
-    assert jacobian == pytest.approx(np.full((2, 1), 100.0))
+    assert jacobian.ravel() == pytest.approx([100.0, 50.0])
 
 
 def test_distance_prior_and_its_jacobian():

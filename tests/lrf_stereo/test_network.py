@@ -8,10 +8,13 @@ import pytest
 from lrf_stereo.joint_problem import LrfData
 from lrf_stereo.lrf_priors import InstrumentSigma
 from lrf_stereo.lrf_result import paper_numbers, paper_sigma
-from lrf_stereo.network import add_lrfs, calibrate_with_lrfs, scale_by_ranges
+from lrf_stereo.network import add_lrfs, calibrate_with_lrfs
+from lrf_stereo.range_scale import in_scale_of_ranges, scale_by_ranges, start_of_joint_solve
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.scanner import TiltingScanner
+from lrf_stereo.scanner_part import N_SCANNER, ScannerPart
 from lrf_stereo.session import LrfSession
+from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic import SampleNoise, paper_scene, sample
 from network_calib.calibrate import calibrate
 from network_calib.errors import DegenerateError, InputError
@@ -124,6 +127,15 @@ def test_scale_source_names_what_told_metres(calibrated, by_ranges, cameras_alon
     assert cameras_alone.lrfs == ()
 
 
+def test_spot_sigma_is_that_of_the_joint_solve(calibrated, cameras_alone):
+    # The same gauge and the same exact baseline: every spot has a range beside its pixels, which can only tell more.
+    joint, alone = calibrated.quality, cameras_alone.quality
+    assert joint.spot_sigma_median < 0.9 * alone.spot_sigma_median
+    assert joint.spot_sigma_p95 < alone.spot_sigma_p95
+    # Hold-out and repeats are those of the cameras alone.
+    assert joint.holdout == alone.holdout
+
+
 def test_ranges_outweigh_a_vague_baseline(samples, setups, session, scene):
     # Given 3 % too long, and known to be that vague: the ranges (0.1 %) outweigh it.
     vague = KnownDistance("C0", "C1", 0.0927, sigma_m=0.003, is_stereo_pair=True)
@@ -156,7 +168,7 @@ def test_cameras_without_metres_are_refused(cameras_alone, samples, session):
 def test_freed_instrument_is_not_held_and_has_a_sigma(samples, setups, session, baseline):
     freed = replace(session, instrument=InstrumentSigma(range_bias_m=0.02))
     (lrf,) = calibrate_with_lrfs(samples.observations, setups, freed, anchor=baseline, options=ONCE).lrfs
-    assert lrf.held == ("tilt_gain", "range_scale", "bearing_zero_rad", "tilt_angles")
+    assert lrf.held == ("tilt_gain", "range_scale", "bearing_zero_rad", "clock_offset_s", "tilt_angles")
     # The data say more than the prior, and the true bias is zero.
     assert 0 < lrf.sigma[11] < 0.02
     assert abs(lrf.instrument[1]) < MAX_SIGMA * lrf.sigma[11]
@@ -172,6 +184,40 @@ def test_scale_by_ranges_survives_wrong_pairs(samples, scale):
     assert scale_by_ranges(points, data) == pytest.approx(scale, rel=0.003)
 
 
+@pytest.mark.parametrize(("sigma_m", "is_stiff"), [(0.0, True), (0.0001, True), (0.003, False)])
+def test_joint_solve_begins_in_the_scale_of_a_certain_anchor(sigma_m, is_stiff, scene, samples):
+    # Metres of the cameras 3 % long, of a baseline of 90 mm that may give way by five of its sigma.
+    data = StudyData.of(scene, samples)
+    centres = scene.cameras.centres_in_world
+    longer = scene.cameras.with_poses(scene.cameras.rotations, 1.03 * centres)
+    baseline = KnownDistance("C0", "C1", 0.0927, sigma_m)
+    network = replace(data.network, cameras=longer, points=1.03 * data.network.points, is_held=False, baseline=baseline)
+    registered, back = in_scale_of_ranges(network, LrfData.of(samples.spots, samples.settings, network.views))
+    # The stereo pair's depth noise included: as `scale_by_ranges` promises.
+    np.testing.assert_allclose(registered.cameras.centres_in_world, centres, rtol=0.01, atol=1e-9)
+    start, (scanner,) = start_of_joint_solve(network, registered, (scene.scanner,), back)
+    if not is_stiff:
+        assert start is registered
+        assert scanner is scene.scanner
+        return
+    assert start is network
+    assert scanner.range_scale == 1
+    true = scene.scanner.world_from_lrf.translation
+    np.testing.assert_allclose(scanner.world_from_lrf.translation, 1.03 * true, rtol=0.01)
+    np.testing.assert_allclose(scanner.axis_point_in_world, 1.03 * scene.scanner.axis_point_in_world, rtol=0.01)
+    # There and back again.
+    there = back.apply(registered.cameras.centres_in_world)
+    np.testing.assert_allclose(there, network.cameras.centres_in_world, rtol=1e-12, atol=1e-12)
+
+
+def test_held_cameras_keep_their_scale(scene, samples):
+    network = StudyData.of(scene, samples).network
+    data = LrfData.of(samples.spots, samples.settings, network.views)
+    registered, back = in_scale_of_ranges(network, data)
+    assert registered is network
+    assert back.scale == 1
+
+
 def test_scale_without_distances_is_refused(samples):
     views = SpotViews.of(samples.observations)
     data = LrfData.of(samples.spots, samples.settings, views, InstrumentSigma())
@@ -182,17 +228,15 @@ def test_scale_without_distances_is_refused(samples):
 def test_paper_sigma_is_the_spread_of_the_paper_numbers(scene):
     # Independent sigmas of 1e-4 in turns and metres; 1000 draws give a standard deviation to 2.2 %.
     rng = np.random.default_rng(8)
-    covariance = np.zeros((14, 14))
+    covariance = np.zeros((N_SCANNER, N_SCANNER))
     covariance[:10, :10] = 1e-8 * np.eye(10)
     draws = [paper_numbers(moved(scene.scanner, 1e-4 * rng.standard_normal(10))) for _ in range(1000)]
     np.testing.assert_allclose(paper_sigma(scene.scanner, covariance), np.std(draws, axis=0), rtol=0.1)
 
 
 def moved(scanner, step):
-    from lrf_stereo.scanner_part import ScannerPart
-
-    part = ScannerPart.from_scanners((scanner,), np.arange(14)[None])
-    return part.retract(np.append(step, np.zeros(4))).apply_to((scanner,))[0]
+    part = ScannerPart.from_scanners((scanner,), np.arange(N_SCANNER)[None])
+    return part.retract(np.append(step, np.zeros(N_SCANNER - 10))).apply_to((scanner,))[0]
 
 
 def spots_at(frame, setting):

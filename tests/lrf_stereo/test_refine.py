@@ -12,7 +12,7 @@ from lrf_stereo.refine import lrf_covariance, refine_jointly
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic import LrfSamples, SampleNoise, paper_scene, sample, spots_on_plane
-from network_calib.errors import DegenerateError
+from network_calib.errors import DegenerateError, InputError
 from network_calib.gauge import into_camera
 from network_calib.observations import Observations
 from network_calib.room_setup import KnownDistance
@@ -197,6 +197,29 @@ def test_two_lrfs_in_one_solve():
     assert found.scanners[0].world_from_lrf.translation == pytest.approx(
         alone.scanners[0].world_from_lrf.translation, abs=1e-6
     )
+
+
+def test_each_lrf_has_its_own_instrument():
+    data, truth = two_lrfs(5)
+    is_second = data.spots.setting >= 3
+    biased = replace(data.spots, range_m=data.spots.range_m + np.where(is_second, 0.015, 0.0))
+    instrument = (InstrumentSigma(), InstrumentSigma(range_bias_m=0.05))
+    found = refine_jointly(data.network, truth, biased, data.settings, instrument=instrument)
+    spread = lrf_covariance(found)
+    assert found.dof == 132 * 4 - 20 - 1 + 1
+    assert found.scanners[0].range_bias_m == 0
+    assert spread.scanners[0, 11, 11] == 0
+    sigma = np.sqrt(spread.scanners[1, 11, 11])
+    assert 0 < sigma < 0.011
+    assert found.scanners[1].range_bias_m == pytest.approx(0.015, abs=FOUR_SIGMA * sigma)
+    for k in range(2):
+        assert (in_sigma(found.scanners[k], truth[k], spread.scanners[k]) < FOUR_SIGMA).all()
+
+
+def test_instruments_of_another_number_of_lrfs_are_refused():
+    data = a_session(1)
+    with pytest.raises(InputError, match="given for 2 of 1 LRFs"):
+        solved(data, instrument=(InstrumentSigma(), InstrumentSigma()))
 
 
 def test_no_noise_gives_the_truth():

@@ -44,6 +44,18 @@ def test_steps_of_the_urg_are_those_of_its_data_sheet():
     assert steps.bearings_rad[[0, -1]] == pytest.approx(steps.bearing_rad([44, 725]))
     # 0.1 s / 1024 = 97.66 us; the front step comes 37.5 ms and the last 70.8 ms after step 0.
     assert steps.time_s([1, 384, 725]) == pytest.approx([97.65625e-6, 37.5e-3, 70.80078125e-3], abs=1e-12)
+    last = np.deg2rad(119.8828125)
+    assert steps.beam_time_s([0.0, last, -last]) == pytest.approx([37.5e-3, 70.80078125e-3, 4.19921875e-3], abs=1e-12)
+
+
+@given(st.floats(-2 * np.pi, 2 * np.pi), st.floats(0.01, 0.2))
+def test_a_bearing_and_the_same_one_a_turn_on_are_taken_at_one_time_of_the_sweep(bearing, turn_s):
+    times = ScanSteps(turn_s=turn_s).beam_time_s([bearing, bearing + 2 * np.pi])
+    assert (times >= 0).all()
+    assert (times <= turn_s).all()
+    # Equal but for a whole turn, where rounding may put one at the begin and the other at the end.
+    off = abs(times[0] - times[1])
+    assert min(off, turn_s - off) < 1e-12
 
 
 @given(st.integers(0, 1023), st.integers(1, 4096))

@@ -7,9 +7,12 @@ import pytest
 
 from network_calib import doubts
 from network_calib.calibrate import calibrate
+from network_calib.cameras import Cameras, LensModel, poses_from_centres
 from network_calib.result import CameraQuality, ErrorSummary
 from network_calib.room_setup import CameraSetup, Knowledge, Options
 from network_calib.sync import TimeOffsets
+from network_calib.synthetic import Room, observe
+from network_calib.synthetic_rooms import look_at
 from tests.network_calib.scenes import calibrated, setups_of, stereo_anchor, waved, with_frames_shifted
 
 QUICK = Options(n_repeats=1)
@@ -177,3 +180,38 @@ def test_an_unsettled_solve_and_a_near_twin_are_doubted():
     assert not list(doubts.about_convergence(True, 5.0))
     assert [doubt.code for doubt in doubts.about_convergence(False, 5.0)] == ["convergence"]
     assert [doubt.code for doubt in doubts.about_convergence(True, 1.2)] == ["twin"]
+
+
+def known_cameras(centres, looks_at, focal_px, spots):
+    """Cameras of 640 x 480 pixels with held intrinsics, calibrated from random spots at 0.3 px."""
+    n = len(centres)
+    intrinsics = np.tile([focal_px, focal_px, 319.5, 239.5, 0, 0, 0, 0], (n, 1))
+    rotations = np.stack([look_at(centre, target) for centre, target in zip(centres, looks_at, strict=True)])
+    names, lenses = tuple(f"C{c}" for c in range(n)), (LensModel.NONE,) * n
+    cameras = Cameras(
+        names, np.tile([640, 480], (n, 1)), lenses, intrinsics, poses_from_centres(rotations, np.asarray(centres))
+    )
+    seen = observe(Room("known", cameras, spots, 25.0), rng=np.random.default_rng(2), sigma_px=0.3)
+    setups = [
+        CameraSetup(name, (640, 480), LensModel.NONE, Knowledge.FIXED, row)
+        for name, row in zip(names, intrinsics, strict=True)
+    ]
+    return calibrate(seen.observations, setups, options=QUICK)
+
+
+@pytest.mark.parametrize(("distance_m", "is_doubted"), [(10.0, False), (160.0, True)])
+def test_a_mirrored_twin_is_doubted_from_far_through_long_lenses_only(distance_m, is_doubted):
+    # What tells depths apart is X z / distance at 85 px/m, 0.6 m and 0.7 m RMS: 3.6 px RMS at 10 m, and 0.2 px at
+    # 160 m, less than the noise of 0.3 px.
+    azimuth = np.radians([-25, 0, 28])
+    centres = distance_m * np.stack([np.sin(azimuth), [0.1, -0.15, 0.12], -np.cos(azimuth)], axis=1)
+    spots = np.random.default_rng(1).uniform(-1, 1, (400, 3)) * [1.2, 0.9, 1.2]
+    calibration = known_cameras(centres, np.zeros((3, 3)), 85 * distance_m, spots)
+    assert ("twin" in codes(calibration)) == is_doubted
+
+
+def test_a_stereo_head_is_not_doubted_when_its_twin_turns_back_into_itself():
+    # Parallel cameras 90 mm apart: mirrored in depth they are the same pair, and the spots climb back to their places.
+    centres = np.array([[0.0, 0.0, 0.0], [0.09, 0.0, 0.0]])
+    spots = np.random.default_rng(1).uniform([-1.5, 1, -1], [1.5, 3, 1], (600, 3))
+    assert codes(known_cameras(centres, centres + np.array([0.0, 1.0, 0.0]), 520.0, spots)) == set()

@@ -11,8 +11,10 @@ from network_calib.formats.source import read_source
 from network_calib.formats.table import write_csv
 from nodes import cli
 
-COMMANDS = ("calibrate", "show", "evaluate", "export", "simulate", "demo", "paper")
-HEAVY = ("cv2", "pycolmap", "scipy.optimize", "matplotlib", "zenoh", "numpy")
+COMMANDS = (
+    "detect", "calibrate", "show", "evaluate", "export", "spot", "cameras", "simulate", "demo", "paper",
+)  # fmt: skip
+HEAVY = ("av", "cv2", "pycolmap", "scipy.optimize", "matplotlib", "zenoh", "numpy")
 
 
 @pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)])
@@ -100,6 +102,19 @@ def test_table_source_calibrates_with_sizes_from_the_configuration(smart_room, s
     assert load(tmp_path / "c.json").provenance.input_name == "spots.csv"
 
 
+def test_table_source_calibrates_with_the_configuration_beside_it(smart_room, spotcal, tmp_path):
+    write_csv(read_source(smart_room).observations, tmp_path / "spots.csv")
+    (tmp_path / "spots.toml").write_text((smart_room / "room.toml").read_text())
+    status, _, err = spotcal("calibrate", tmp_path / "spots.csv", "--out", tmp_path / "c.json")
+    assert status == 0, err
+    assert f"note: cameras as described in {tmp_path / 'spots.toml'}" in err
+    assert load(tmp_path / "c.json").world.unit == "m"
+    # One that is named goes before it.
+    (tmp_path / "other.toml").write_text('[[cameras]]\nname = "C9"\n')
+    status, _, err = spotcal("calibrate", tmp_path / "spots.csv", "--config", tmp_path / "other.toml")
+    assert (status, "C9" in err) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("format_name", "out", "expected"),
     [
@@ -139,6 +154,16 @@ def test_simulate_is_reproducible_and_obeys_its_options(spotcal, tmp_path):
         (("calibrate", "nowhere", "--out", "."), "is a folder, expected a file name"),
         (("calibrate", "nowhere", "--out", "/dev/null/c.json"), "cannot be written"),
         (("calibrate", "nowhere", "--config", "no.toml"), "error: no.toml: no such file"),
+        (("detect", "a.mp4", "--out", "t.csv"), "one source is one camera (a), a network needs two or more"),
+        (("detect", "a.mp4", "b.mp4", "--out", "t.csv"), "error: a.mp4 does not exist"),
+        (("detect", "a.mp4", "rtsp://me:secret@host/2", "--out", "t.csv"), "@host/2 is no recording"),
+        (("detect", "a.mp4", "b.mp4", "--out", "t.txt"), "--out t.txt: expected a name that ends in .csv or .npz"),
+        (("detect", "a.mp4", "b.mp4", "--out", "t.csv", "--channel", "purple"), "--channel purple: expected one of"),
+        (("detect", "a.mp4", "b.mp4", "--out", "t.csv", "--background", "no"), "--background no: expected whole, or"),
+        (("detect", "A=a.mp4", "A=b.mp4", "--out", "t.csv"), "two sources would be camera 'A'"),
+        (("spot", "nothing.mp4"), "nothing.mp4"),
+        (("spot", "/dev/video99"), "/dev/video99"),
+        (("spot", "/dev/video0", "--background", "whole"), "/dev/video0 is no recording"),
         (("show", "nothing.json"), "error: nothing.json: no such file"),
         (("show", "."), "is not a file"),
         (("simulate", "ballroom"), "no room 'ballroom', expected one of"),

@@ -9,6 +9,7 @@ from lrf_stereo.crossing import Crossings
 from network_calib.errors import InputError
 from nodes.acquisition import Acquisition, AcquisitionOptions, Phase, _is_short, plane_sigma_m
 from nodes.devices.errors import LineLostError
+from nodes.devices.tilt_unit import TiltUnit
 from nodes.lrf_node import LrfDevices, LrfNode, NullRecorder
 from nodes.simulated.line_faults import LineFaults
 from tests.nodes.emulated_platform import emulated
@@ -143,17 +144,17 @@ class ByHand:
 def test_lost_steps_are_found_out_and_the_imu_believed():
     platform = emulated(seed=3)
     unit = platform.devices.tilt
+    assert isinstance(unit, TiltUnit)
 
-    class Slips(ByHand):
+    class SlippingUnit(TiltUnit):
+        def __init__(self):
+            self.options, self._info = unit.options, unit.info
+
         def go_to(self, tilt_rad, *, meanwhile=None):
-            steps = self.unit.go_to(tilt_rad, meanwhile=meanwhile)
+            steps = unit.go_to(tilt_rad, meanwhile=meanwhile)
             if tilt_rad > 0.5:
                 platform.tilt_device._slipped = 40  # two degrees
             return steps
-
-    class SlippingUnit(Slips, type(unit)):
-        def __init__(self):
-            self.unit, self.options, self._info = unit, unit.options, unit.info
 
     devices = LrfDevices(platform.devices.scanner, SlippingUnit(), platform.devices.imu)
     acquired = LrfNode(devices, OPTIONS, clock=platform.clock, sleep=platform.clock.sleep).run()

@@ -28,6 +28,7 @@ L1,4,12.0,0.015
 L1,9,50,0
 L0,0,20.0,0.015
 """
+OPTIONAL = ("out_of_plane_m", "bias_bound_m", "delay_s")
 
 
 @pytest.fixture
@@ -46,14 +47,15 @@ def test_settings_are_numbered_in_the_order_of_the_tilt_table(folder):
     np.testing.assert_allclose(
         session.settings.covariance_rad2, np.diag(np.radians([0.015, 0, 0.015]) ** 2), rtol=1e-15
     )
-    assert session.spots.out_of_plane_m.tolist() == [0, 0, 0]
-    assert session.instrument == InstrumentSigma()
+    for name in OPTIONAL:
+        assert getattr(session.spots, name).tolist() == [0, 0, 0], name
+    assert session.instrument == (InstrumentSigma(), InstrumentSigma())
 
 
 def test_written_session_reads_back(tmp_path):
     rng = np.random.default_rng(2)
     settings = TiltSettings(np.array([0, 1, 0, 1]), rng.uniform(-1, 1, 4), np.diag(rng.uniform(1e-8, 1e-6, 4)))
-    columns = rng.uniform(0.01, 3.0, (6, 20))
+    columns = rng.uniform(0.01, 0.9, (8, 20))
     spots = LrfSpots(np.arange(20), rng.integers(0, 4, 20), *columns)
     session = LrfSession(("a", "b"), spots, settings)
     write_lrf_session(session, tmp_path)
@@ -96,6 +98,39 @@ def test_fault_is_refused_with_its_place(folder, file, old, new, message):
         read_lrf_session(folder)
 
 
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("bias_bound_m", "-0.001", r"line 2, column bias_bound_m: '-0\.001', expected a number from 0 to 1"),
+        ("bias_bound_m", "25", r"column bias_bound_m: '25', expected a number from 0 to 1"),
+        ("bias_bound_m", "", r"column bias_bound_m: '', expected a number"),
+        ("delay_s", "-1.5", r"column delay_s: '-1\.5', expected a number of seconds within \+-1"),
+        ("delay_s", "inf", r"column delay_s: 'inf', expected a number of seconds within \+-1"),
+        ("out_of_plane_m", "nan", r"column out_of_plane_m: 'nan', expected a number within"),
+    ],
+)
+def test_fault_in_an_optional_column_is_refused_with_its_place(folder, column, value, message):
+    head, *rows = SPOTS.splitlines()
+    lines = [f"{head},{column}", *(f"{row},{value}" for row in rows)]
+    (folder / "lrf.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=message):
+        read_lrf_session(folder)
+
+
+def test_optional_columns_at_their_limits_are_read(folder):
+    head, *rows = SPOTS.splitlines()
+    lines = [f"{head},delay_s,bias_bound_m", f"{rows[0]},-1,0", f"{rows[1]},1,1", f"{rows[2]},0.071,0.025"]
+    (folder / "lrf.csv").write_text("\n".join(lines) + "\n")
+    spots = read_lrf_session(folder).spots
+    assert spots.delay_s.tolist() == [-1, 1, 0.071]
+    assert spots.bias_bound_m.tolist() == [0, 1, 0.025]
+
+
+def test_optional_columns_are_written_where_they_say_anything(folder, tmp_path):
+    write_lrf_session(read_lrf_session(folder), tmp_path)
+    assert not set(OPTIONAL) & set((tmp_path / "lrf.csv").read_text().splitlines()[0].split(","))
+
+
 def test_missing_tilt_table_is_refused(folder):
     (folder / "tilts.csv").unlink()
     with pytest.raises(InputError, match=r"tilts\.csv: no such file"):
@@ -117,22 +152,18 @@ def config_of(tmp_path, text):
 
 def test_configuration_frees_the_instrument(tmp_path):
     config = config_of(
-        tmp_path, '[[lrfs]]\nname = "L0"\nsigma = { tilt_gain = 0.01, range_bias_m = 0.02, bearing_zero_deg = 1.0 }\n'
+        tmp_path,
+        '[[lrfs]]\nname = "L1"\nsigma = { tilt_gain = 0.01, range_bias_m = 0.02, bearing_zero_deg = 1.0, '
+        "clock_offset_ms = 50.0 }\n",
     )
-    sigma = instrument_of(config, ("L0",))
-    assert sigma == InstrumentSigma(0.01, 0.02, 0.0, float(np.radians(1.0)))
+    sigma = instrument_of(config, ("L0", "L1"))
+    assert sigma == (InstrumentSigma(), InstrumentSigma(0.01, 0.02, 0.0, float(np.radians(1.0)), 0.05))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('[[lrfs]]\nname = "lft"\n', r"the session has no LRF 'lft' \(did you mean 'left'\?\); it has left, right"),
-        ('[[lrfs]]\nname = "left"\nsigma = { tilt_gain = 0.01 }\n', "sigma differs between the LRFs"),
-    ],
-)
-def test_configuration_that_does_not_fit_is_refused(tmp_path, text, message):
-    with pytest.raises(InputError, match=message):
-        instrument_of(config_of(tmp_path, text), ("left", "right"))
+def test_configuration_of_another_lrf_is_refused(tmp_path):
+    config = config_of(tmp_path, '[[lrfs]]\nname = "lft"\n')
+    with pytest.raises(InputError, match=r"the session has no LRF 'lft' \(did you mean 'left'\?\); it has left, right"):
+        instrument_of(config, ("left", "right"))
 
 
 @pytest.mark.parametrize(

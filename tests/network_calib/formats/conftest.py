@@ -28,7 +28,7 @@ def calibration():
 def lrf_calibration(calibration):
     """The same cameras with an LRF of arbitrary numbers."""
     rng = np.random.default_rng(6)
-    root = rng.normal(size=(14, 14)) * 1e-3
+    root = rng.normal(size=(15, 15)) * 1e-3
     direction = np.array([0.0, 0.6, 0.8])
     lrf = CalibratedLrf(
         name="L0",
@@ -36,7 +36,7 @@ def lrf_calibration(calibration):
         reference_tilt_rad=0.5,
         axis_direction_in_world=direction,
         axis_point_in_world=np.array([0.3, 0.8, -0.6]),
-        instrument=np.array([1.001, 0.004, 0.999, 0.0]),
+        instrument=np.array([1.001, 0.004, 0.999, 0.0, -0.012]),
         covariance=root @ root.T,
         dx_m=0.04,
         dz_m=0.06,

@@ -61,6 +61,27 @@ def test_fault_is_refused_with_its_path(lrf_calibration, tmp_path, path, value, 
         load(tmp_path / "b.json")
 
 
+def test_clock_offset_may_be_missing_and_then_is_held_at_zero(lrf_calibration, tmp_path):
+    save(lrf_calibration, tmp_path / "a.json")
+    document = json.loads((tmp_path / "a.json").read_text())
+    lrf = document["lrfs"][0]
+    for fields in (lrf["instrument"], lrf["sigma"]):
+        del fields["clock_offset_s"]
+    lrf["covariance"]["covariance_parameters"].pop()
+    lrf["covariance"]["lower_triangle"].pop()
+    (tmp_path / "b.json").write_text(json.dumps(document))
+    (before,), (after,) = lrf_calibration.lrfs, load(tmp_path / "b.json").lrfs
+    assert after.instrument.tolist() == [*before.instrument[:4].tolist(), 0.0]
+    assert np.array_equal(after.covariance[:14, :14], before.covariance[:14, :14])
+    assert not after.covariance[14].any()
+    assert after.held == ("clock_offset_s", *before.held)
+    # Missing in one place only is a fault.
+    document["lrfs"][0]["instrument"]["clock_offset_s"] = 0.0
+    (tmp_path / "b.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"covariance_parameters: .*\n.*lower_triangle: .*, expected an array of 15"):
+        load(tmp_path / "b.json")
+
+
 def test_lrf_in_a_world_without_metres_or_given_twice_is_refused(lrf_calibration, tmp_path):
     unscaled = replace(lrf_calibration, world=replace(lrf_calibration.world, unit="unit"))
     with pytest.raises(InputError, match=r"\$\.lrfs: in a world of unit unit, expected m"):

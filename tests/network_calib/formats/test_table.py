@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
+from network_calib.candidates import Candidates
+from network_calib.choose import choose
 from network_calib.errors import InputError
 from network_calib.formats.source import read_source
 from network_calib.formats.svoboda import read_svoboda
-from network_calib.formats.table import write_csv, write_npz
+from network_calib.formats.table import read_candidates, write_csv, write_npz
 from network_calib.observations import Observations
 
 HEAD = "camera,frame,x_px,y_px\n"
@@ -75,6 +77,12 @@ def test_quoted_blank_and_reordered_csv_reads_as_the_plain_one(tmp_path, ending)
         (HEAD + '"C0,0,1,2\n', "unexpected end of data"),
         ("camera,frame,x_px,y_px,sigma_px\nC0,0,1,2,-0.1\n", "line 2, column sigma_px: '-0.1', expected a number > 0"),
         ("camera,frame,x_px,y_px,sigma_px\nC0,0,1,2,0\n", "line 2, column sigma_px: '0', expected a number > 0"),
+        ("camera,frame,x_px,y_px,score\nC0,0,1,2,1.5\n", "line 2, column score: '1.5', expected a number from 0 to 1"),
+        ("camera,frame,x_px,y_px,score\nC0,0,1,2,\n", "line 2, column score: '', expected a number"),
+        (
+            "camera,frame,stamp_ns,x_px,y_px,score\nC0,0,1,1,2,0.5\nC0,0,2,1,2,0.4\n",
+            "candidates of two stamps in frame 0: 1 and 2 ns",
+        ),
     ],
 )
 def test_faulty_csv_is_refused_with_its_place(tmp_path, content, message):
@@ -168,3 +176,63 @@ def test_stamps_alone_are_grouped(tmp_path, observations):
     assert np.array_equal(recording.observations.frame, expected)
     assert np.array_equal(recording.observations.px, observations.px)
     assert "grouped by stamp" in recording.notes[0]
+
+
+@pytest.fixture
+def candidates():
+    """Three cameras that see a way through a volume; beside every third detection of each stands a rival."""
+    rng = np.random.default_rng(4)
+    spots = np.cumsum(rng.normal(0, 0.2, (200, 3)), axis=0) % [2.0, 2.0, 3.0] + [-1.0, -1.0, 4.0]
+    camera, frame = np.tile(np.arange(3), 200), np.repeat(np.arange(200), 3)
+    centre = np.array([[-1.0, 0.0, 0.0], [0.0, 0.2, 0.5], [1.0, -0.1, 0.0]])[camera]
+    in_cam = spots[frame] - centre
+    px = 500 * in_cam[:, :2] / in_cam[:, 2:] + 500
+    beside = np.flatnonzero((frame + camera) % 3 == 0)
+    n = len(camera) + len(beside)
+    return Candidates.from_columns(
+        ("C0", "C1", "C2"),
+        camera=np.append(camera, camera[beside]),
+        frame=np.append(frame, frame[beside]),
+        px=np.concatenate([px, rng.uniform(0, 999, (len(beside), 2))]),
+        score=np.append(np.full(len(camera), 0.6), rng.uniform(0.7, 0.9, len(beside))),
+        sigma_px=rng.uniform(0.1, 0.3, n),
+        stamp_ns=10**18 + np.append(frame, frame[beside]) * 40_000_000,
+    )
+
+
+@pytest.mark.parametrize(("suffix", "write"), [("csv", write_csv), ("npz", write_npz)])
+def test_candidates_read_back_exactly_and_are_chosen_from(tmp_path, candidates, suffix, write):
+    path = tmp_path / f"table.{suffix}"
+    write(candidates, path)
+    read = read_candidates(path)
+    assert_same(read, candidates)
+    assert np.array_equal(read.score, candidates.score)
+    sizes = dict.fromkeys(candidates.camera_names, (1000, 1000))
+    chosen = choose(candidates, rng=np.random.default_rng(0), size_px=sizes)
+    recording = read_source(path, size_px=sizes)
+    assert_same(recording.observations, chosen.observations)
+    (note,) = recording.notes
+    assert f"of {chosen.n_several} pictures with several candidates" in note
+    assert f"another than the best-scored in {chosen.n_preferred}" in note
+    # 200 rivals score above the spot beside them and lie at random pixels.
+    assert chosen.n_several == 200
+    assert chosen.n_preferred > 180
+
+
+def test_candidates_with_stamps_alone_are_grouped(tmp_path, candidates):
+    path = tmp_path / "spots.csv"
+    write_csv(candidates, path)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text("\n".join(",".join(row[:1] + row[2:]) for row in rows))
+    assert_same(read_candidates(path), candidates)
+    assert "grouped by stamp" in read_source(path).notes[0]
+
+
+def test_single_scored_rows_read_as_the_plain_table(tmp_path):
+    (tmp_path / "plain.csv").write_text(HEAD + "C0,0,1,2\nC1,0,3,4\n")
+    (tmp_path / "scored.csv").write_text("camera,frame,x_px,y_px,score\nC0,0,1,2,0.1\nC1,0,3,4,1\n")
+    plain, scored = read_source(tmp_path / "plain.csv"), read_source(tmp_path / "scored.csv")
+    assert_same(plain.observations, scored.observations)
+    assert (scored.notes, scored.sha256) == ((), plain.sha256)
+    with pytest.raises(InputError, match=r"plain\.csv has no column score"):
+        read_candidates(tmp_path / "plain.csv")

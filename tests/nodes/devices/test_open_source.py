@@ -32,8 +32,6 @@ def asked_live(monkeypatch):
     [
         ("rtsp://user:pw@10.0.0.5:554/live", "rtsp://user:pw@10.0.0.5:554/live"),
         ("RTSPS://camera/live", "RTSPS://camera/live"),
-        ("http://camera/video", "http://camera/video"),
-        ("https://camera/video", "https://camera/video"),
         (" /dev/video2 ", "/dev/video2"),
         ("usb:0", "/dev/video0"),
         ("usb:12", "/dev/video12"),
