@@ -18,6 +18,7 @@ from benchmarks.rooms import random_generator
 from lrf_stereo.noise import LrfNoise
 from lrf_stereo.projection import CalibrationCovariance, LrfProjector, project_lrf
 from lrf_stereo.scanner import ScanSteps, TiltingScanner
+from lrf_stereo.scanner_part import N_SCANNER
 from lrf_stereo.synthetic import paper_scene
 from lrf_stereo.synthetic_scans import ScannedRoom
 from network_calib.cameras import Cameras, LensModel, poses_from_centres
@@ -100,5 +101,5 @@ def _uncertain(cameras: Cameras, rng: np.random.Generator) -> CalibrationCovaria
     """Covariances as a calibration gives them: aspect and tangential terms held, everything else correlated."""
     roots = rng.standard_normal((len(cameras), 14, 14)) * 1e-3
     roots[:, [7, 12, 13]] = 0.0
-    scanner = rng.standard_normal((14, 14)) * 1e-3
+    scanner = rng.standard_normal((N_SCANNER, N_SCANNER)) * 1e-3
     return CalibrationCovariance(roots @ roots.transpose(0, 2, 1), scanner @ scanner.T)

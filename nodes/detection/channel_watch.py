@@ -25,6 +25,8 @@ TIGHT_RADII = 0.5
 # A fit that strays so far from the core, or is so much wider, is one of something else.
 STRAY_RADII = 0.5
 STRAY_WIDTHS = 1.5
+# Noise makes either background look smoother by chance, and the learnt one is right unless somebody hides it.
+PLAINLY_SMOOTHER = 0.5
 # Where none succeeds, one standard deviation of the middle of the core, in its half lengths.
 UNFITTED_SIGMA = 0.25
 UNFITTED_FACTOR = 0.7
@@ -116,10 +118,11 @@ class ChannelWatch:
         window, learnt = plane.samples[part].astype(np.float64), self.background.mean[part].astype(np.float64)
         # Of one sample, the spread is known to a fifth only; the window's mean serves all of them.
         variance = float(np.square(self.background.spread[part]).mean())
-        behind, learnt_behind = _sides(window), _sides(learnt)
-        middle, roughness = _quartiles(behind)
+        behind = _sides(window)
+        rest = behind - _sides(learnt)
+        middle, rest_middle = float(np.median(behind)), float(np.median(rest))
         # Before a person, the learnt background is wrong, and the person often smoother than what he hides.
-        is_hidden = roughness < _quartiles(behind - learnt_behind)[1]
+        is_hidden = _roughness(behind, middle) < PLAINLY_SMOOTHER * _roughness(rest, rest_middle)
         try:
             return localise(
                 window,
@@ -161,10 +164,8 @@ def _sides(window: npt.NDArray[np.generic]) -> FloatArray:
     return np.concatenate([window[0], window[-1], window[:, 0], window[:, -1]]).astype(np.float64)
 
 
-def _quartiles(values: FloatArray) -> tuple[float, float]:
-    """Median, and distance of the quartiles."""
-    ordered, quarter = np.sort(values), len(values) // 4
-    return float(ordered[len(values) // 2]), float(ordered[-1 - quarter] - ordered[quarter])
+def _roughness(values: FloatArray, middle: float) -> float:
+    return float(np.abs(values - middle).mean())
 
 
 def _is_of(found: Localisation, candidate: Candidate) -> bool:

@@ -41,8 +41,8 @@ class PeakFinder:
         shape = -(-plane.samples.shape[0] // CELL), -(-self._width // CELL)
         self._cells = np.zeros(shape, packed.dtype)
         self._places = np.zeros(shape, np.intp)
-        # Two cells more than the width: it may begin and end in the middle of one.
-        self._kernel = np.ones([math.ceil(max_width / CELL) + 2] * 2, np.uint8)
+        # Two cells more than the width, as it may begin and end in the middle of one; an even size would shift things.
+        self._kernel = np.ones([(math.ceil(max_width / CELL) + 2) | 1] * 2, np.uint8)
 
     def peaks(self, plane: Plane, packed_threshold: SampleArray) -> Iterator[tuple[int, int]]:
         """Column and row of samples that stand out of their neighbourhood, the most prominent first.

@@ -37,7 +37,7 @@ def silhouette_peaks(
     if not is_darker.any():
         return
     near = cv2.dilate(is_darker.view(np.uint8), np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8))
-    size = math.ceil(max_width / CELL) + 2
+    size = (math.ceil(max_width / CELL) + 2) | 1
     top, bottom = _reach(np.asarray(near.any(axis=1)), size, samples.shape[0])
     left, right = _reach(np.asarray(near.any(axis=0)), size, samples.shape[1])
     part = samples[top:bottom, left:right]
