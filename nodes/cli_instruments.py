@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 ADDRESS_HELP = "Serial port such as /dev/ttyACM0, or tcp://host:port."
-lrf = typer.Typer(help="Laser range finders: watch one.", no_args_is_help=True)
+lrf = typer.Typer(help="Laser range finders: watch one, acquire with one.", no_args_is_help=True)
 
 
 def devices(
@@ -60,3 +60,26 @@ def monitor(
         monitor(MonitorAddresses(scanner, tilt_unit, imu), duration_s=seconds, console=Console())
     except KeyboardInterrupt:
         return
+
+
+@lrf.command()
+def acquire(
+    scanner: Annotated[str, typer.Argument(metavar="PORT", help=ADDRESS_HELP)],
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Recording and tables; must hold none yet.")],
+    tilt_unit: Annotated[str | None, typer.Option("--tilt-unit", metavar="PORT", help="What tilts it.")] = None,
+    imu: Annotated[str | None, typer.Option("--imu", metavar="PORT", help="What measures the tilt.")] = None,
+    tilts: Annotated[str, typer.Option("--tilts", metavar="DEGREES", help="Angles, with commas.")] = "12.1,23.2,50",
+    crossings: Annotated[int, typer.Option("--crossings", min=1, help="At every tilt, at least.")] = 22,
+    name: Annotated[str, typer.Option("--name", help="Of the LRF in the tables.")] = "L0",
+) -> None:
+    """Acquire crossings of the spot at one tilt after the other, and record every scan and sample."""
+    from nodes.lrf_acquire import AcquirePlan, acquire, parse_tilts
+    from nodes.lrf_monitor import MonitorAddresses
+    from nodes.terminal import print_notes, stderr_console
+
+    console = stderr_console()
+    plan = AcquirePlan(name, parse_tilts(tilts), crossings, out)
+    acquired = acquire(MonitorAddresses(scanner, tilt_unit, imu), plan, console=console)
+    print_notes(console, acquired.tilts.notes)
+    counts, found = acquired.scan_counts, ", ".join(str(len(setting.crossings)) for setting in acquired.settings)
+    console.print(f"{found} crossings; {counts.scans} scans, {counts.missed} missed; written to {out}", soft_wrap=True)
