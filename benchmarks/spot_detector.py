@@ -45,7 +45,7 @@ class Tally:
         n_before_glare: showed it before something nearly as bright as full scale.
         n_found: of those visible, had it among the candidates.
         n_found_before_glare: the same.
-        n_best_wrong: showed the spot, but the best candidate was another.
+        n_best_wrong: showed the spot, not before glare, but the best candidate was another.
         n_false: candidates that were not the spot, in all frames.
         n_dark: frames without the spot.
         n_dark_false: of these, had a candidate.
@@ -82,7 +82,7 @@ class Tally:
         is_before_glare = _is_before_glare(frame.image, truth)
         self.n_visible += 1
         self.n_before_glare += is_before_glare
-        self.n_best_wrong += bool(is_spot) and not is_spot[0]
+        self.n_best_wrong += bool(is_spot) and not is_spot[0] and not is_before_glare
         if any(is_spot):
             self.n_found += 1
             self.n_found_before_glare += is_before_glare
@@ -189,8 +189,8 @@ def _scene_rows(name: str, run: Run) -> Iterator[Row]:
         f"{tally.n_found_before_glare} of {glare} spots" if glare else "no such spots",
     )
     yield Row(
-        f"{name}: best candidate is another, of frames with the spot",
-        f"{tally.n_best_wrong / max(tally.n_visible, 1):.2%}",
+        f"{name}: best candidate is another, of frames with the spot not before glare",
+        f"{tally.n_best_wrong / max(clear, 1):.2%}",
     )
     yield Row(
         f"{name}: false candidates, before any check by geometry",

@@ -86,8 +86,11 @@ def _begin(counters: SynchronizedArray) -> None:
     _counters = counters
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     import cv2
+    from threadpoolctl import threadpool_limits
 
+    # Fits are of small matrices: with the default threads one takes a hundred times as long on a busy machine.
     cv2.setNumThreads(1)
+    threadpool_limits(1)
 
 
 def _detect(number: int, job: CameraJob) -> CameraDetections:

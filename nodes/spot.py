@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
+from threadpoolctl import threadpool_limits
 
 from network_calib.errors import InputError
 from nodes.detect_camera import detector_for
@@ -95,7 +96,8 @@ def watch(
         )
     if save is not None:
         save.mkdir(parents=True, exist_ok=True)
-    with open_source(named.text) as source:
+    # Fits are of small matrices: with the default threads one takes a hundred times as long on a busy machine.
+    with threadpool_limits(1), open_source(named.text) as source:
         summary = Summary(source.name, source.size_px)
         with Live(console=console, transient=True, refresh_per_second=1 / REFRESH_S) as live:
 

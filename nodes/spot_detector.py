@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 
-import numpy as np
-
 from network_calib.errors import InputError
 from nodes.detection.advice import ExposureWatch, FrameFacts
 from nodes.detection.background import Background, Box, Survey
@@ -184,14 +182,10 @@ class SpotDetector:
             watch.background.learn(plane.samples, without=boxes, is_hurried=self._n_settling > 0)
 
     def _spots(self, watch: ChannelWatch, plane: Plane, order: Sequence[tuple[float, Candidate]]) -> tuple[Spot, ...]:
-        spots: list[Spot] = []
-        for score, candidate in order:
-            if score < max(MIN_SCORE, MIN_SHARE * order[0][0]) or len(spots) == self.options.max_candidates:
-                break
-            spot = watch.spot(plane, candidate, score)
-            if not any(_is_same(spot, other) for other in spots):
-                spots.append(spot)
-        return tuple(spots)
+        worth = [pair for pair in order if pair[0] >= max(MIN_SCORE, MIN_SHARE * order[0][0])]
+        spots = [watch.spot(plane, candidate, score) for score, candidate in worth[: self.options.max_candidates]]
+        # A spot without a profile has lost some of its score.
+        return tuple(sorted(spots, key=lambda spot: -spot.score))
 
     def _note(self, frame: Frame, state: DetectorState, spots: tuple[Spot, ...], plane: Plane) -> None:
         background = self._watches[0].background
@@ -252,11 +246,6 @@ def _spared(candidates: Sequence[Candidate], fixtures: Container[int]) -> list[B
             left, top, right, bottom = one.box
             boxes.append((left - halo, top - halo, right + halo, bottom + halo))
     return boxes
-
-
-def _is_same(first: Spot, second: Spot) -> bool:
-    """Whether two fits found one spot."""
-    return bool(np.linalg.norm(first.px - second.px) < 2 * max(first.width_px, second.width_px))
 
 
 def _words(likeness: tuple[object, ...]) -> str:

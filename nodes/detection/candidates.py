@@ -22,7 +22,7 @@ from nodes.detection.spots import BoolArray, FloatArray
 
 # Windows looked into in one frame: neither crowds nor rain make a frame last longer.
 MAX_PEAKS = 24
-MAX_HIDDEN_PEAKS = 8
+MAX_HIDDEN_PEAKS = 12
 # Nearly all spots fit into the first window with their surroundings; others are looked at in larger ones.
 FIRST_HALF_PX = 12
 LARGER = 3
@@ -33,8 +33,6 @@ HALF_HEIGHT = 0.5
 STREAK_HEIGHT = 0.8
 # Quartiles of a normal distribution are this far apart, inverted.
 SIGMA_OVER_QUARTILES = 1 / 1.349
-# The light of the core over its noise: below, it is noise, looked for in two million places.
-MIN_SNR = 7.0
 # A candidate with this light over its noise has half of the full score.
 HALF_SNR = 12.0
 # Surroundings whose structure is this share of the height halve the score.
@@ -210,7 +208,7 @@ def _judged(window: _Window, core: _Core, max_radius: float) -> Candidate | None
     centre, radius, length = _shape(core.is_high)
     flux = float(light.sum()) - len(light) * window.level
     snr = flux / (window.noise * math.sqrt(len(light)))
-    if radius > max_radius or length > MAX_STRETCH * max_radius or snr < MIN_SNR:
+    if radius > max_radius or length > MAX_STRETCH * max_radius:
         return None
     corner = window.left + left, window.top + top
     filled = min(len(light) / (math.pi * radius * length), 1.0)

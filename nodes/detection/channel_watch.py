@@ -30,6 +30,8 @@ PLAINLY_SMOOTHER = 0.5
 # Where none succeeds, one standard deviation of the middle of the core, in its half lengths.
 UNFITTED_SIGMA = 0.25
 UNFITTED_FACTOR = 0.7
+# A core longer than so many of its radii is taken for smeared.
+LONG_RADII = 1.5
 # Half the width of a Gaussian at half of its height, in standard deviations.
 HALF_WIDTH_SIGMAS = 1.18
 # What comes in colour was interpolated between the samples of a mosaic, or compressed.
@@ -131,9 +133,8 @@ class ChannelWatch:
                 full_scale=plane.full_scale,
                 origin_px=(box[0], box[1]),
             )
-        except ValueError:
-            # So few samples tell of the place that the fit leaves nothing to judge it by: it is none.
-            return None
+        except np.linalg.LinAlgError:
+            return None  # samples that tell of no place at all
 
     def _adopt(self, background: Background) -> None:
         mask = self._options.mask
@@ -190,13 +191,14 @@ def _unfitted(candidate: Candidate, plane: Plane, score: float) -> Spot:
     """A spot with no Gaussian profile, half hidden or before an edge: the middle of its core, vaguely."""
     sigma = plane.step_px * UNFITTED_SIGMA * candidate.length
     left, top, right, bottom = candidate.box
+    is_long = candidate.length > LONG_RADII * candidate.radius
     return Spot(
         px=plane.image_px(candidate.px),
         covariance_px2=sigma**2 * np.eye(2),
         score=score,
         peak=candidate.height / plane.full_scale,
         width_px=plane.step_px * candidate.radius / HALF_WIDTH_SIGMAS,
-        smear_px=2 * plane.step_px * (candidate.length - candidate.radius),
+        smear_px=2 * plane.step_px * (candidate.length - candidate.radius) if is_long else 0.0,
         is_saturated=bool(plane.samples[top:bottom, left:right].max() >= plane.full_scale),
     )
 

@@ -147,6 +147,8 @@ def _moving(model: StillSpot, still: Fit, samples: Samples, quality: Misfit, sha
 def _localisation(
     found: Fit, quality: Misfit, samples: Samples, shape: tuple[int, int], origin_px: tuple[float, float]
 ) -> Localisation | None:
+    if not 0 <= quality.ratio < math.inf:
+        return None  # so few samples tell of the place that nothing is left to judge the fit by
     x, y, width, flux = found.parameters[:4].tolist()
     if not _stands_out(found, quality, samples):
         return None

@@ -17,8 +17,8 @@ from nodes.detection.channel import SampleArray
 from nodes.detection.spots import BoolArray
 
 CELL = 8
-# A hand is at the edge of the silhouette of its arm: that many steps of the grid around what is darker.
-AROUND = 2
+# A hand is at the edge of the silhouette of its arm: so many steps of the grid around what is darker.
+AROUND = 1
 # What stands out must do so by this share of full scale: clothes have folds and buttons.
 MIN_PROMINENCE = 0.1
 
@@ -44,8 +44,10 @@ def silhouette_peaks(
     n_rows, n_columns = part.shape[0] // CELL, part.shape[1] // CELL
     cells = part.reshape(n_rows, CELL, -1).max(axis=1).reshape(n_rows, n_columns, CELL).max(axis=2)
     prominence = cv2.morphologyEx(cells, cv2.MORPH_TOPHAT, np.ones((size, size), np.uint8))
-    ratio = GRID_STEP // CELL
-    is_near = near.repeat(ratio, axis=0).repeat(ratio, axis=1)[top // CELL :, left // CELL :][:n_rows, :n_columns]
+    # The grid ends before the picture where that is no multiple of its step: its last row and column then serve.
+    grid_rows = np.minimum((top + CELL * np.arange(n_rows)) // GRID_STEP, near.shape[0] - 1)
+    grid_columns = np.minimum((left + CELL * np.arange(n_columns)) // GRID_STEP, near.shape[1] - 1)
+    is_near = near[grid_rows[:, None], grid_columns]
     is_peak = (prominence > MIN_PROMINENCE * background.full_scale) & (is_near > 0)
     is_peak &= cells == cv2.dilate(cells, np.ones((3, 3), np.uint8))
     places = np.argwhere(is_peak)

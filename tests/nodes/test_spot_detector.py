@@ -9,7 +9,7 @@ from network_calib.errors import InputError
 from nodes.detection.candidates import Candidate
 from nodes.detection.spots import AdviceKind, Channel, DetectorOptions, DetectorState
 from nodes.frames import FrameSettings, PixelFormat
-from nodes.spot_detector import N_RELEARNING_FRAMES, N_SETTLING_FRAMES, SpotDetector, learn_from
+from nodes.spot_detector import N_RELEARNING_FRAMES, SpotDetector, learn_from
 from tests.nodes.detection.small_scene import HEIGHT, WIDTH, Scene, light
 
 N_LEARNING = 30
@@ -115,7 +115,8 @@ def test_where_the_spot_rested_while_the_light_changed_it_is_found_again_soon(sc
     detector = taught(scene)
     for _ in range(N_RELEARNING_FRAMES + 2):
         detector.process(scene.frame(light(100, 100), scale=2.0))
-    for k in range(N_SETTLING_FRAMES + 40):
+    # Twice as many as a second holds; without any haste, each row would have been visited twice.
+    for k in range(60):
         detector.process(scene.frame(light(*way(k)), scale=2.0))
     assert is_at(detector.process(scene.frame(light(100, 100), scale=2.0)), (100, 100))
 
@@ -141,6 +142,12 @@ def test_a_mask_of_another_size_is_refused(scene):
         taught(scene, mask=np.ones((100, WIDTH), bool))
 
 
+def test_one_spot_behind_a_wire_is_one(scene):
+    spot = light(150, 120, width=5.0, peak=120.0)
+    spot[120] = 0
+    assert len(taught(scene).process(scene.frame(spot)).spots) == 1
+
+
 def test_at_most_so_many_candidates_best_first(scene):
     frame = scene.frame(*[light(40 + 50 * k, 100, peak=60 + 20 * k) for k in range(5)])
     seen = taught(scene, max_candidates=3).process(frame)
@@ -160,6 +167,26 @@ def test_spots_of_a_bayer_mosaic_are_in_pixels_of_the_image(scene, pixel_format,
         # Half of the samples, or their sums: some hundredths of a pixel of noise; a wrong origin is off by 0.5.
         assert np.abs(spot.px - px).max() < 0.2
         assert spot.width_px == pytest.approx(3.0, rel=0.1)
+
+
+def test_deep_samples_and_decoded_video_are_read_as_they_come(scene):
+    def deep(spot):
+        return scene.of(16 * scene.frame(spot).image.astype(np.uint16), bits=12)
+
+    def video(spot):
+        # Grey chroma: every channel is luma.
+        luma = scene.frame(spot).image
+        return scene.of(np.vstack([luma, np.full((HEIGHT // 2, WIDTH), 128, np.uint8)]), PixelFormat.YUV420)
+
+    for make, channel in ((deep, Channel.LUMA), (video, Channel.LUMA), (video, Channel.RED)):
+        detector = SpotDetector(DetectorOptions(channel=channel, n_learning_frames=N_LEARNING))
+        for _ in range(N_LEARNING):
+            detector.process(make(np.zeros((HEIGHT, WIDTH))))
+        for k in range(10):
+            seen = detector.process(make(light(*way(k), peak=102.0)))
+            assert is_at(seen, way(k))
+            # 102 counts of 255; video's full scale is 235 in luma, and red is stretched from 219 to 255.
+            assert 0.35 < seen.spots[0].peak < 0.55
 
 
 @pytest.mark.parametrize(("colour", "channel"), [((30, 30, 150), Channel.RED), ((40, 150, 30), Channel.GREEN)])
@@ -282,7 +309,7 @@ def test_before_a_plain_person_the_pattern_behind_does_not_pull_the_spot(scene):
 def test_a_fit_that_strays_to_something_else_is_not_taken(scene):
     detector = taught(scene)
     (watch,) = detector._watches
-    plane = watch.read(scene.frame(light(107, 80)))
+    plane = watch.read(scene.frame(light(105, 80)))
     elsewhere = Candidate(np.array([100.0, 80.0]), (99, 79, 102, 82), 1.5, 1.5, 50.0, 300.0, 50.0, 0.5)
     spot = watch.spot(plane, elsewhere, 0.5)
     np.testing.assert_array_equal(spot.px, [100, 80])

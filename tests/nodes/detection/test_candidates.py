@@ -88,6 +88,25 @@ def test_a_dim_spot_before_a_dark_person_before_a_bright_wall_is_found():
     assert not any(one.score > 0.1 for one in watched.find(person))
 
 
+@pytest.mark.parametrize("shape", [(HEIGHT - 8, WIDTH - 8), (HEIGHT - 7, WIDTH - 3), (HEIGHT - 15, WIDTH - 11)])
+def test_any_size_will_do(shape):
+    scene = Scene(level=150.0)
+
+    def plane_of(*lights):
+        return channel_of(scene.of(scene.frame(*lights).image[: shape[0], : shape[1]]), Channel.LUMA)
+
+    learner = BackgroundLearner(Channel.LUMA, is_empty=True)
+    for _ in range(30):
+        learner.add(plane_of())
+    background = learner.background()
+    person = ((200, 100, WIDTH, HEIGHT), 30.0)
+    x, y = shape[1] - 20, shape[0] - 12
+    plane = plane_of(person, light(x, y, peak=90.0))
+    found = CandidateFinder(plane, max_radius=MAX_RADIUS).find(plane, background, background.survey(plane.samples))
+    assert near(found[0], x, y)
+    background.learn(plane.samples)
+
+
 def test_a_reflection_is_kept_behind_the_spot(watched):
     found = watched.find(light(150, 80, peak=150.0), light(155, 180, width=3.0, peak=30.0))
     assert near(found[0], 150, 80)
@@ -110,6 +129,8 @@ def test_a_smeared_spot_is_found_with_its_length(watched, end):
     # Second moments of a line of length L are those of an ellipse of half length L / sqrt(3), and of its ends' blur.
     assert found[0].length == pytest.approx(40 / np.sqrt(3), rel=0.2)
     assert found[0].radius < 3
+    # A still spot is more of a spot.
+    assert found[0].score < 0.8 * watched.find(light(150, 80))[0].score
 
 
 def test_a_single_hot_pixel_has_a_low_score(watched):
@@ -125,6 +146,7 @@ def test_what_is_larger_than_a_spot_may_be_is_no_candidate(watched):
     for radius, is_found in ((18, True), (40, False)):
         disc = 120.0 * (np.hypot(x - 160, y - 120) < radius)
         assert any(one.score > 0.1 for one in watched.find(disc)) is is_found
+    assert watched.find(120.0 * (np.hypot(x - 160, y - 120) < 18))[0].score < 0.5
 
 
 def test_two_spots_side_by_side_are_two(watched):

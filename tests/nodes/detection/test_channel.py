@@ -97,13 +97,14 @@ def test_yuv_colour_is_that_of_the_picture(rng, channel, is_full_range):
     assert plane.full_scale == 255
 
 
-def test_yuv_red_lies_where_the_chroma_lies():
+@pytest.mark.parametrize("first", [80, 130])
+def test_yuv_red_lies_where_the_chroma_lies(first):
     # Chroma rises along x; its samples lie in the middle of two columns: at column 2 k + 0.5 stands sample k.
-    chroma = np.tile(np.arange(100, 140, 2, dtype=np.uint8), (10, 1))
+    chroma = np.tile(np.arange(first, first + 40, 2, dtype=np.uint8), (10, 1))
     image = np.concatenate([np.full((20, 40), 100), np.full((5, 40), 128), chroma.reshape(5, 40)]).astype(np.uint8)
     red = channel_of(frame_of(image, PixelFormat.YUV420, is_full_range=True), Channel.RED).samples
     x = np.arange(2, 38)
-    expected = 100 + 1.402 * (100 + 2 * (x - 0.5) / 2 - 128)
+    expected = 100 + 1.402 * (first + 2 * (x - 0.5) / 2 - 128)
     # Half a sample off would shift by 0.7; rounding of both parts is 0.5 each at most, and zero in the mean over x.
     assert abs(np.mean(red[10, 2:38] - expected)) < 0.2
     # Interpolated, the columns of a pair differ by a step, give or take the rounding; repeated, by none.
