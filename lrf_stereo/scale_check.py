@@ -9,21 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError
 
-from lrf_stereo.held_cameras import CameraSpread, Sensitivity
+from lrf_stereo.held_cameras import CameraSpread
 from lrf_stereo.joint_data import LrfData, NetworkData
-from lrf_stereo.joint_problem import build_joint_problem
+from lrf_stereo.loose_solve import solve_loosely
 from lrf_stereo.lrf_block import SCANNERS
 from lrf_stereo.refine import LrfRefined
 from lrf_stereo.scanner_part import ScannerPart
-from lrf_stereo.tilt_check import EFFORT
-from network_calib.bundle import covariance, solve
 from network_calib.camera_block import cameras_of
 from network_calib.observations import FloatArray
 from network_calib.result import LRF_PARAMETER_NAMES
-from network_calib.robust_loss import SquaredLoss
-from network_calib.spots import located
 
 # As good as free, and still determined where the spots say nothing.
 LOOSE = 0.3
@@ -64,22 +59,12 @@ def check_scales(
     if not network.is_held and network.baseline is None:
         return ()
     loose = replace(data, instrument=tuple(replace(sigma, range_scale=LOOSE) for sigma in data.instrument))
-    at_optimum = replace(network, cameras=refined.cameras, points=refined.points)
-    is_used = located(refined.points)
-    if network.is_held:
-        with_lrf = np.zeros(len(is_used), dtype=bool)
-        with_lrf[data.point[refined.is_inlier]] = True
-        is_used &= with_lrf
-    problem, state = build_joint_problem(at_optimum, refined.scanners, loose, refined.is_inlier, is_used, SquaredLoss())
-    state = solve(problem, state, EFFORT).state
+    solved = solve_loosely(refined, network, loose, held)
+    if solved is None:
+        return ()
+    state, spread = solved
     part = state.parts[SCANNERS]
     assert isinstance(part, ScannerPart)
-    try:
-        spread = covariance(problem, state).shared
-    except LinAlgError:
-        return ()
-    if held is not None:
-        spread = spread + Sensitivity.at(refined, network, loose).covariance(held, spread)
     columns = part.columns[:, RANGE_SCALE] + cameras_of(state.parts).size
     variance = spread[columns, columns] + np.array([sigma.range_scale for sigma in data.instrument]) ** 2
     return tuple(

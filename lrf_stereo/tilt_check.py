@@ -9,25 +9,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from lrf_stereo.held_cameras import CameraSpread, Sensitivity
+from lrf_stereo.held_cameras import CameraSpread
 from lrf_stereo.joint_data import LrfData, NetworkData
-from lrf_stereo.joint_problem import build_joint_problem
+from lrf_stereo.loose_solve import solve_loosely
 from lrf_stereo.lrf_block import TILTS
 from lrf_stereo.refine import LrfRefined
 from lrf_stereo.samples import TiltSettings
 from lrf_stereo.scanner_part import TiltPart
-from network_calib.bundle import SolverOptions, covariance, solve
 from network_calib.observations import FloatArray, IntArray
-from network_calib.robust_loss import SquaredLoss
-from network_calib.spots import located
 
 # As good as free, and still determined where the spots say nothing.
 LOOSE_RAD = float(np.radians(5.0))
-# From the optimum with held angles it is a step or two.
-EFFORT = SolverOptions(max_iterations=4, cost_tolerance=1e-6, initial_damping=1e-6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,22 +62,12 @@ def check_tilts(
     settings = data.settings
     angles = TiltSettings(settings.scanner, settings.angle_rad, LOOSE_RAD**2 * np.eye(len(settings.angle_rad)))
     loose = replace(data, settings=angles)
-    at_optimum = replace(network, cameras=refined.cameras, points=refined.points)
-    is_used = located(refined.points)
-    if network.is_held:
-        with_lrf = np.zeros(len(is_used), dtype=bool)
-        with_lrf[data.point[refined.is_inlier]] = True
-        is_used &= with_lrf
-    problem, state = build_joint_problem(at_optimum, refined.scanners, loose, refined.is_inlier, is_used, SquaredLoss())
-    state = solve(problem, state, EFFORT).state
+    solved = solve_loosely(refined, network, loose, held)
+    if solved is None:
+        return ()
+    state, joint = solved
     tilts = state.parts[TILTS]
     assert isinstance(tilts, TiltPart)
-    try:
-        joint = covariance(problem, state).shared
-    except LinAlgError:
-        return ()
-    if held is not None:
-        joint = joint + Sensitivity.at(refined, network, loose).covariance(held, joint)
     spread = joint[-tilts.size :, -tilts.size :]
     return tuple(_check(settings, tilts, spread, scanner) for scanner in range(settings.n_scanners))
 

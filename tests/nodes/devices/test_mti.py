@@ -13,6 +13,7 @@ from nodes.devices.mti_frames import FrameParser, Mid, encode
 from nodes.simulated.line_faults import LineFaults
 from nodes.simulated.loopback import LoopbackTransport, VirtualClock
 from nodes.simulated.mti_device import MtiDevice, MtiModel
+from tests.nodes.simulated.babbler import Babbler
 
 QUIET = ImuNoise(gyro_rad_s_sqrt_hz=0.0, acceleration_m_s2_sqrt_hz=0.0)
 FORCE = np.array([0.2, 0.0, 9.8])
@@ -217,24 +218,8 @@ def test_any_bytes_harm_neither_the_emulator_nor_the_driver(data):
         device.receive(piece, now_s)
         device.send(now_s)
         assert device.next_due_s() >= 0
-
-    class Babbler:
-        def __init__(self):
-            self.rest = list(data)
-
-        def connect(self, now_s): ...
-        def disconnect(self, now_s): ...
-        def receive(self, data, now_s): ...
-
-        def send(self, now_s):
-            del now_s
-            return self.rest.pop(0) if self.rest else b""
-
-        def next_due_s(self):
-            return 0.0 if self.rest else np.inf
-
     clock = VirtualClock()
-    imu = Mti(LoopbackTransport(Babbler(), clock), clock=clock)
+    imu = Mti(LoopbackTransport(Babbler(data), clock), clock=clock)
     try:
         imu.start()
         collect(imu, clock, 1.0)

@@ -13,6 +13,7 @@ from nodes.simulated.line_faults import LineFaults
 from nodes.simulated.loopback import LoopbackTransport, VirtualClock
 from nodes.simulated.scip_device import ScipDevice
 from nodes.simulated.scip_model import URG_04LX, UST_10LX
+from tests.nodes.simulated.babbler import Babbler
 
 
 def room(model=URG_04LX):
@@ -255,22 +256,6 @@ def test_any_bytes_harm_neither_the_emulator_nor_the_driver(data):
         now_s += 0.05
         device.receive(piece, now_s)
         device.send(now_s)
-
-    class Babbler:
-        def __init__(self):
-            self.rest = list(data)
-
-        def connect(self, now_s): ...
-        def disconnect(self, now_s): ...
-        def receive(self, data, now_s): ...
-
-        def send(self, now_s):
-            del now_s
-            return self.rest.pop(0) if self.rest else b""
-
-        def next_due_s(self):
-            return 0.0 if self.rest else np.inf
-
     clock = VirtualClock()
     with pytest.raises(SpotcalError):
-        Scip(LoopbackTransport(Babbler(), clock), clock=clock).start()
+        Scip(LoopbackTransport(Babbler(data), clock), clock=clock).start()

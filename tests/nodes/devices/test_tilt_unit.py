@@ -12,6 +12,7 @@ from nodes.devices.errors import DeviceError
 from nodes.devices.tilt_unit import NullTiltUnit, TiltUnit, TiltUnitOptions
 from nodes.simulated.loopback import LoopbackTransport, VirtualClock
 from nodes.simulated.tilt_unit_device import AxisModel, TiltUnitDevice
+from tests.nodes.simulated.babbler import Babbler
 
 STEP_RAD = math.radians(185.1428 / 3600)
 PAPER_DEG = (12.1, 23.2, 50.0)
@@ -161,23 +162,8 @@ def test_slaved_moves_wait_for_each_other():
 
 @given(pieces=st.lists(st.one_of(st.binary(max_size=30), st.sampled_from([b"*", b"!", b"!T", b"\r\n", b"* 12\r\n"]))))
 def test_any_replies_end_in_the_projects_own_errors(pieces):
-    class Babbler:
-        def __init__(self):
-            self.rest = list(pieces)
-
-        def connect(self, now_s): ...
-        def disconnect(self, now_s): ...
-        def receive(self, data, now_s): ...
-
-        def send(self, now_s):
-            del now_s
-            return self.rest.pop(0) if self.rest else b""
-
-        def next_due_s(self):
-            return 0.0 if self.rest else math.inf
-
     clock = VirtualClock()
-    unit = TiltUnit(LoopbackTransport(Babbler(), clock), clock=clock)
+    unit = TiltUnit(LoopbackTransport(Babbler(pieces), clock), clock=clock)
     with pytest.raises(SpotcalError):
         unit.start()
 
