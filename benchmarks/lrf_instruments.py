@@ -204,8 +204,7 @@ def _tilt_errors(seed: int) -> dict[str, tuple[float, float]]:
     off = rng.uniform(-0.5, 0.5, 2)
     counts = StepCounts(np.array(steps) + off, unit.info.arcsec_per_step)
     both, alone = session_tilts(rests, steps=counts, imu=series), session_tilts(rests, imu=series)
-    blind = ImuSeries(series.stamp_s, series.rate_rad_s, series.acceleration_m_s2)
-    gyro = session_tilts(rests, imu=blind, with_gravity=False)
+    gyro = session_tilts(rests, imu=series, with_gravity=False)
     difference = np.array([-1.0, 1.0])
     return {
         name: (

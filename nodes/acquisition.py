@@ -107,7 +107,6 @@ class _Setting:
     """What is being collected at one tilt."""
 
     rest_begin_s: float
-    stamps: list[float] = field(default_factory=list)
     empty: list[FloatArray] = field(default_factory=list)
     background: Background | None = None
     candidates: list[SpotCandidates] = field(default_factory=list)

@@ -16,9 +16,10 @@ from rich.text import Text
 
 from network_calib.errors import InputError
 from nodes.acquisition import AcquisitionOptions, Progress
-from nodes.devices import mti, scip, tilt_unit
+from nodes.devices import scip
+from nodes.devices.tilt_unit import NullTiltUnit
 from nodes.devices.transport import Transport, open_transport
-from nodes.lrf_monitor import MonitorAddresses
+from nodes.lrf_monitor import MonitorAddresses, open_tilt_and_imu
 from nodes.lrf_node import Acquired, LrfDevices, LrfNode
 from nodes.lrf_recorder import JsonlRecorder
 
@@ -82,16 +83,8 @@ def acquire(addresses: MonitorAddresses, plan: AcquirePlan, *, console: Console)
     with ExitStack() as stack:
         scanner = scip.Scip(stack.enter_context(open_scanner()), clock=clock)
         scanner.start()
-        tilt: tilt_unit.TiltDrive = tilt_unit.NullTiltUnit()
-        if addresses.tilt_unit is not None:
-            line = open_transport(addresses.tilt_unit, baud=tilt_unit.BAUD, default_port=tilt_unit.TCP_PORT)
-            unit = tilt_unit.TiltUnit(stack.enter_context(line), clock=clock)
-            unit.start()
-            tilt = unit
-        imu: mti.Imu = mti.NullImu()
-        if addresses.imu is not None:
-            imu = mti.Mti(stack.enter_context(open_transport(addresses.imu, baud=mti.BAUD)), clock=clock)
-            imu.start()
+        unit, imu = open_tilt_and_imu(addresses, stack, clock=clock)
+        tilt = unit or NullTiltUnit()
         recorder = stack.enter_context(JsonlRecorder(plan.out))
         live = stack.enter_context(Live(console=console, refresh_per_second=4, transient=True))
         node = LrfNode(LrfDevices(scanner, tilt, imu, open_scanner), options, recorder=recorder, clock=clock)

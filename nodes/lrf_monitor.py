@@ -50,7 +50,7 @@ def monitor(
         line = stack.enter_context(open_transport(addresses.scanner, baud=scip.BAUD, default_port=scip.TCP_PORT))
         scanner = scip.Scip(line)
         scanner.start()
-        unit, imu = _others(addresses, stack)
+        unit, imu = open_tilt_and_imu(addresses, stack)
         end_s = None if duration_s is None else clock() + duration_s
         state = _State()
         with Live(console=console, refresh_per_second=5, transient=False) as live:
@@ -84,15 +84,22 @@ class _State:
         return True
 
 
-def _others(addresses: MonitorAddresses, stack: ExitStack) -> tuple[tilt_unit.TiltUnit | None, mti.Imu]:
+def open_tilt_and_imu(
+    addresses: MonitorAddresses, stack: ExitStack, *, clock: Callable[[], float] = time.monotonic
+) -> tuple[tilt_unit.TiltUnit | None, mti.Imu]:
+    """Tilt unit and IMU, started; the stack closes their lines. None, and an IMU that gives nothing, where absent.
+
+    Raises:
+        DeviceError: one cannot be opened or does not answer.
+    """
     unit: tilt_unit.TiltUnit | None = None
     imu: mti.Imu = mti.NullImu()
     if addresses.tilt_unit is not None:
         line = open_transport(addresses.tilt_unit, baud=tilt_unit.BAUD, default_port=tilt_unit.TCP_PORT)
-        unit = tilt_unit.TiltUnit(stack.enter_context(line))
+        unit = tilt_unit.TiltUnit(stack.enter_context(line), clock=clock)
         unit.start()
     if addresses.imu is not None:
-        imu = mti.Mti(stack.enter_context(open_transport(addresses.imu, baud=mti.BAUD)))
+        imu = mti.Mti(stack.enter_context(open_transport(addresses.imu, baud=mti.BAUD)), clock=clock)
         imu.start()
     return unit, imu
 

@@ -104,17 +104,15 @@ class _ImuLog:
 
     fit: ClockFit = field(default_factory=ClockFit)
     samples: list[ImuSample] = field(default_factory=list)
-    stamps_s: list[float] = field(default_factory=list)
 
     def add(self, sample: ImuSample) -> None:
         self.fit.add(sample.device_s, sample.arrival_s)
         self.samples.append(sample)
-        self.stamps_s.append(self.fit.line().host_s(sample.device_s))
 
     def series(self) -> ImuSeries | None:
         if not self.samples:
             return None
-        # Early stamps were made by a line that later ones moved: an integral needs times that grow as the device's do.
+        # One line for all samples: an integral needs times that grow as the device's do.
         line = self.fit.line()
         device_s = np.array([sample.device_s for sample in self.samples])
         return ImuSeries(

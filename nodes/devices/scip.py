@@ -32,7 +32,6 @@ ATTEMPTS = 3
 # A stream that is silent for so many turns has stopped, and is asked for again.
 SILENT_TURNS = 8
 MAX_RESTARTS = 5
-N_SYNC = 10
 SETTLE_S = 0.15
 LASER_FAULT = "01"
 
