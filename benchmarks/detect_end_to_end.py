@@ -25,13 +25,13 @@ from network_calib.pairs import verify_pairs
 from network_calib.room_setup import CameraSetup, KnownDistance
 from network_calib.spots import SpotViews
 from network_calib.synthetic import Room, Sighting, room
+from nodes.camera.detect import detect
 from nodes.demo import compare_with_truth
-from nodes.detect import detect
 from nodes.detector_settings import DetectorSettings, named_sources
-from nodes.simulated.rendered_files import write_video
-from nodes.simulated.spot_truth import SpotTruth
-from nodes.simulated.video_codec import VideoCodec
-from nodes.video_simulation import VideoPlan, camera_of
+from nodes.simulated.rendering.rendered_files import write_video
+from nodes.simulated.rendering.spot_truth import SpotTruth
+from nodes.simulated.rendering.video_codec import VideoCodec
+from nodes.simulation.video_simulation import VideoPlan, camera_of
 
 ROOM, SEED = "smart_room", 4
 # A detection belongs to the spot within this distance, or three of its own sigma where it is smeared.

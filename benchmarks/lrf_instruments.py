@@ -17,7 +17,6 @@ from lrf_stereo.synthetic import paper_scene
 from lrf_stereo.tilt import ARCSEC_RAD
 from network_calib.errors import SpotcalError
 from network_calib.observations import FloatArray, Observations
-from nodes.acquisition import AcquisitionOptions
 from nodes.devices.clock_fit import fit_clock
 from nodes.devices.errors import DeviceError, LineLostError
 from nodes.devices.mti import Mti
@@ -25,7 +24,9 @@ from nodes.devices.mti_frames import FrameParser, OutputMode, OutputSettings, de
 from nodes.devices.scip import Scip
 from nodes.devices.scip_frames import ReplyParser, decode_scan, encode_blocks, encode_number, line_sum
 from nodes.devices.tilt_unit import TiltUnit
-from nodes.lrf_matching import lrf_spots, tilt_settings
+from nodes.lrf.acquisition import AcquisitionOptions
+from nodes.lrf.matching import lrf_spots, tilt_settings
+from nodes.lrf.tilt_of_session import ImuSeries, StepCounts, session_tilts
 from nodes.lrf_node import Acquired, LrfDevices, LrfNode
 from nodes.simulated.line_faults import LineFaults
 from nodes.simulated.loopback import LoopbackTransport, VirtualClock
@@ -33,7 +34,6 @@ from nodes.simulated.mti_device import MtiDevice
 from nodes.simulated.platform import SimulatedPlatform, Waving
 from nodes.simulated.scip_device import ScipDevice
 from nodes.simulated.tilt_unit_device import AxisModel, TiltUnitDevice
-from nodes.tilt_of_session import ImuSeries, StepCounts, session_tilts
 
 DRIFT = 1300e-6
 PAPER_DEG = (12.1, 23.2, 50.0)

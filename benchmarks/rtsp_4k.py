@@ -13,8 +13,8 @@ import av
 import numpy as np
 
 from benchmarks.report import Row, Run, at_most
-from nodes.devices.live_options import LiveOptions
-from nodes.devices.live_video import open_live
+from nodes.devices.cameras.live_options import LiveOptions
+from nodes.devices.cameras.live_video import open_live
 from nodes.frames import Frame
 from nodes.spot_detector import SpotDetector
 from tests.nodes.devices.rtsp_server import RtspServer, why_not

@@ -16,11 +16,11 @@ from network_calib.observations import FloatArray
 from network_calib.synthetic import room
 from nodes.detection.spots import Channel, Detections, DetectorOptions, DetectorState
 from nodes.frames import Frame, ImageArray, PixelFormat, StampOrigin
-from nodes.simulated.rendered_camera import RenderedCamera
-from nodes.simulated.room_scene import SCENES
-from nodes.simulated.sensor import SensorModel
-from nodes.simulated.spot_path import SpotPath
-from nodes.simulated.spot_truth import SpotTruth
+from nodes.simulated.rendering.rendered_camera import RenderedCamera
+from nodes.simulated.rendering.room_scene import SCENES
+from nodes.simulated.rendering.sensor import SensorModel
+from nodes.simulated.rendering.spot_path import SpotPath
+from nodes.simulated.rendering.spot_truth import SpotTruth
 from nodes.spot_detector import N_SETTLING_FRAMES, SpotDetector
 
 WIDTH, HEIGHT = 1920, 1080

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from network_calib.errors import SpotcalError
-from nodes import cli_instruments, cli_sources
+from nodes.commands import instruments, sources
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +27,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.command()(cli_sources.detect)
+app.command()(sources.detect)
 
 Source = Annotated[Path, typer.Argument(help="A .csv or .npz table of spots, or a MultiCamSelfCal folder.")]
 CalibrationFile = Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.json.")]
@@ -72,9 +72,9 @@ def calibrate(
     """Calibrate cameras from spot observations, and the LRFs of a session folder with lrf.csv."""
     from network_calib.formats.calibration_json import save
     from nodes.config import resolve
-    from nodes.lrf_session import read_lrfs_beside, require_lrfs
+    from nodes.lrf.session import read_lrfs_beside, require_lrfs
+    from nodes.report.terminal import print_notes
     from nodes.solve import check_writable, solve, solve_lrfs
-    from nodes.terminal import print_notes
 
     check_writable(out)
     console = _stderr(quiet=quiet)
@@ -117,8 +117,8 @@ def evaluate(calibration: CalibrationFile, source: Source, config: ConfigFile = 
     from network_calib.evaluate import evaluate as evaluate_spots
     from network_calib.formats.calibration_json import load
     from nodes.matching import observations_of
-    from nodes.show import evaluation_view
-    from nodes.terminal import print_notes
+    from nodes.report.show import evaluation_view
+    from nodes.report.terminal import print_notes
 
     loaded = load(calibration)
     console = _stderr()
@@ -149,11 +149,11 @@ def export(
     _stderr().print(f"Written to {out}", markup=False, soft_wrap=True)
 
 
-app.command()(cli_sources.spot)
-app.command()(cli_sources.cameras)
-app.command()(cli_instruments.devices)
-app.command()(cli_instruments.emulate)
-app.add_typer(cli_instruments.lrf, name="lrf")
+app.command()(sources.spot)
+app.command()(sources.cameras)
+app.command()(instruments.devices)
+app.command()(instruments.emulate)
+app.add_typer(instruments.lrf, name="lrf")
 
 
 @app.command()
@@ -173,12 +173,12 @@ def simulate(  # noqa: PLR0913, PLR0917 — every option of a command is an argu
     ] = "clean",
 ) -> None:
     """Write a synthetic recording with its truth: points, table.npz, room.toml, truth.json, tables of LRFs, videos."""
-    from nodes.simulate import refuse_no_video_room, simulate_named
+    from nodes.simulation.simulate import refuse_no_video_room, simulate_named
 
     folder = Path(name) if out is None else out
     if video is not None:
         refuse_no_video_room(name)
-        from nodes.video_simulation import VideoPlan, simulate_videos
+        from nodes.simulation.video_simulation import VideoPlan, simulate_videos
 
         recordings = simulate_videos(name, folder, VideoPlan(video, scene, seed, frames), console=_stderr())
         told = " ".join(map(str, recordings))
@@ -214,7 +214,7 @@ def paper(
     """Regenerate Table I and figures 7 and 8 of the LRF paper from a simulation."""
     from rich.console import Console
 
-    from nodes.paper_report import chosen_methods, run_report
+    from nodes.report.paper_report import chosen_methods, run_report
 
     methods = chosen_methods(method)
     run_report(methods, out, n_runs=runs, seed=seed, console=Console(), progress_console=_stderr())
@@ -223,8 +223,8 @@ def paper(
 def _room(source: Path, config: Path | None, console: Console) -> RoomConfig | None:
     """The configuration that was named, or the one that `detect` wrote beside the table."""
     from nodes.config import load_room
+    from nodes.report.terminal import print_notes
     from nodes.room_file import room_beside
-    from nodes.terminal import print_notes
 
     beside = room_beside(source) if config is None else None
     if beside is not None:
@@ -262,18 +262,18 @@ def _rejection(room: RoomConfig | None) -> float:
 def _print_calibration(calibration: Calibration) -> None:
     from rich.console import Console
 
-    from nodes.show import calibration_view
+    from nodes.report.show import calibration_view
 
     Console().print(calibration_view(calibration))
 
 
 def _stderr(*, quiet: bool = False) -> Console:
-    from nodes.terminal import stderr_console
+    from nodes.report.terminal import stderr_console
 
     return stderr_console(quiet=quiet)
 
 
 def _print_error(message: str, advice: str) -> None:
-    from nodes.terminal import print_error
+    from nodes.report.terminal import print_error
 
     print_error(message, advice)

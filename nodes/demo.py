@@ -20,13 +20,13 @@ from network_calib.result import PARAMETER_NAMES, Calibration
 from network_calib.room_setup import CameraSetup, KnownDistance, Options
 from network_calib.spots import SpotViews, locate
 from network_calib.synthetic import CameraErrors, Room, Sighting, compare, observe, room
+from nodes.camera.pictures import draw_errors, draw_residuals
 from nodes.config import Resolved
-from nodes.network_picture import draw_network
-from nodes.pictures import draw_errors, draw_residuals
-from nodes.show import calibration_view
-from nodes.simulation import write_simulation
+from nodes.report.network_picture import draw_network
+from nodes.report.show import calibration_view
+from nodes.report.tables import plain_table
+from nodes.simulation.spots_simulation import write_simulation
 from nodes.solve import solve
-from nodes.tables import plain_table
 
 ROOM_NAME = "smart_room"
 N_FRAMES, NOISE_PX, MISSING, FALSE = 1500, 0.2, 0.3, 0.1

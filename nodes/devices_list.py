@@ -8,7 +8,7 @@ from rich.console import Console, Group
 from rich.text import Text
 
 from nodes.devices.instruments import FoundInstrument, identify, serial_ports
-from nodes.tables import plain_table
+from nodes.report.tables import plain_table
 
 
 def devices_view(addresses: Sequence[str], *, console: Console) -> Group:

@@ -13,14 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from nodes.acquisition import Acquisition, AcquisitionOptions, Phase, Progress, SettingData
 from nodes.devices.clock_fit import ClockFit
 from nodes.devices.errors import DeviceError, LineLostError
 from nodes.devices.mti import Imu, ImuCounts, ImuSample
 from nodes.devices.scip import Scan, ScanCounts, Scip
 from nodes.devices.tilt_unit import TiltDrive, TiltUnit
 from nodes.devices.transport import Transport
-from nodes.tilt_of_session import ImuSeries, SessionTilts, StepCounts, session_tilts
+from nodes.lrf.acquisition import Acquisition, AcquisitionOptions, Phase, Progress, SettingData
+from nodes.lrf.tilt_of_session import ImuSeries, SessionTilts, StepCounts, session_tilts
 
 READ_S = 0.05
 REOPEN_FIRST_S, REOPEN_LONGEST_S = 0.5, 10.0

@@ -17,7 +17,7 @@ from network_calib.formats.calibration_json import load
 from network_calib.formats.recording import Recording
 from network_calib.result import Calibration
 from nodes.config import Resolved
-from nodes.lrf_session import joint_digest
+from nodes.lrf.session import joint_digest
 from nodes.matching import observations_of
 
 

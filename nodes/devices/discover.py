@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from nodes.devices import v4l2_ioctl
-from nodes.devices.onvif_probe import probe_onvif
+from nodes.devices.cameras import v4l2_ioctl
+from nodes.devices.cameras.onvif_probe import probe_onvif
 from nodes.devices.permission import permission_advice
 
 _SYSFS, _DEVICES = Path("/sys/class/video4linux"), Path("/dev")

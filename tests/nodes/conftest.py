@@ -8,7 +8,7 @@ import pytest
 from network_calib.formats.calibration_json import load
 from network_calib.synthetic import observe, room
 from nodes import cli
-from nodes.simulation import write_simulation
+from nodes.simulation.spots_simulation import write_simulation
 
 GOLDEN = Path(__file__).parents[1] / "network_calib" / "formats" / "three_cameras.json"
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from network_calib.synthetic import room
-from nodes.simulated.rendered_camera import RenderedCamera
-from nodes.simulated.rendered_files import write_video
-from nodes.simulated.room_scene import CLEAN
-from nodes.simulated.sensor import SensorModel
-from nodes.simulated.spot_path import SpotPath
-from nodes.simulated.video_codec import VideoCodec
+from nodes.simulated.rendering.rendered_camera import RenderedCamera
+from nodes.simulated.rendering.rendered_files import write_video
+from nodes.simulated.rendering.room_scene import CLEAN
+from nodes.simulated.rendering.sensor import SensorModel
+from nodes.simulated.rendering.spot_path import SpotPath
+from nodes.simulated.rendering.video_codec import VideoCodec
 
 
 def small_room(name, *, n_frames, seed=0, part=0.5):

@@ -6,7 +6,7 @@ import pytest
 from network_calib.formats.calibration_json import load
 from network_calib.synthetic import observe, room
 from nodes.demo import compare_with_truth
-from nodes.simulation import truth_calibration
+from nodes.simulation.spots_simulation import truth_calibration
 
 
 @pytest.fixture(scope="module")

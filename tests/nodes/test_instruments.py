@@ -11,7 +11,7 @@ from network_calib.errors import InputError
 from nodes.devices.instruments import Instrument, identify
 from nodes.devices_list import devices_view
 from nodes.emulate import run_emulators
-from nodes.lrf_monitor import MonitorAddresses, monitor, scan_bars
+from nodes.lrf.monitor import MonitorAddresses, monitor, scan_bars
 
 
 def quiet():

@@ -10,8 +10,8 @@ from lrf_stereo.samples import TiltSettings
 from lrf_stereo.synthetic import SampleNoise, paper_scene
 from network_calib.formats.calibration_json import load
 from network_calib.synthetic import observe
-from nodes.lrf_session import read_lrf_session, write_lrf_session
-from nodes.lrf_simulation import room_of, write_lrf_room
+from nodes.lrf.session import read_lrf_session, write_lrf_session
+from nodes.simulation.lrf_simulation import room_of, write_lrf_room
 
 NOISE_PX = 0.2
 

@@ -1,4 +1,4 @@
-"""A scripted camera behind the seam of `nodes.devices.connection`."""
+"""A scripted camera behind the seam of `nodes.devices.cameras.connection`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nodes.devices.connection import ConnectionLostError, Shot
-from nodes.devices.video_pixels import Pixels
+from nodes.devices.cameras.connection import ConnectionLostError, Shot
+from nodes.devices.cameras.video_pixels import Pixels
 from nodes.frames import PixelFormat, StampOrigin
 
 SIZE_PX = (8, 6)

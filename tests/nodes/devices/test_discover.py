@@ -2,8 +2,8 @@ import errno
 
 import pytest
 
+from nodes.devices.cameras.onvif_probe import OnvifCamera
 from nodes.devices.discover import CameraKind, CameraMode, FoundCamera, find_cameras, find_v4l2
-from nodes.devices.onvif_probe import OnvifCamera
 from tests.nodes.devices.fake_v4l2 import FakeKernel
 
 WEBCAM = {b"YUYV": {(640, 480): [(1, 30), (1, 15)]}, b"MJPG": {(1920, 1080): [(1, 30)], (640, 480): [(2, 25)]}}

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nodes.devices.cameras.video_cut import is_cut
+from nodes.devices.cameras.video_file import VideoFile
+from nodes.devices.cameras.video_open import VideoOptions
 from nodes.devices.errors import SourceError
-from nodes.devices.video_cut import is_cut
-from nodes.devices.video_file import VideoFile
-from nodes.devices.video_open import VideoOptions
 from nodes.frames import SourceCounts
 from tests.nodes.devices.video_writer import HEIGHT, LOSSLESS, WIDTH, pictures, planar, write_video
 

@@ -1,0 +1,1 @@
+"""Camera sources: video files, image folders, stereo heads, RTSP streams, V4L2 devices."""

@@ -1,0 +1,1 @@
+"""Rendered cameras: a room, a person, a spot, and the sensor that sees them."""

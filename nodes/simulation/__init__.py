@@ -1,0 +1,1 @@
+"""Sessions of simulated rooms, written as a real one is, with their truth."""
