@@ -10,7 +10,7 @@ import pytest
 FOLDERS = {
     ".ci", "benchmarks", "deploy", "docs", "lrf_stereo", "network_calib", "nodes", "scripts", "tests",
 }  # fmt: skip
-SCRIPTS = [".ci/run", *(f"scripts/{name}" for name in ("bench", "check", "demo", "lock", "setup", "test"))]
+SCRIPTS = [".ci/run", *(f"scripts/{name}" for name in ("bench", "check", "demo", "lock", "protoc", "setup", "test"))]
 # Written in two parts, so that this file passes its own test.
 REGISTRY_HOSTS = [
     "pypi." + "org", "python" + "hosted.org", "npmjs." + "org", "deb." + "debian.org", "crates." + "io",
