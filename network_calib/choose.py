@@ -19,6 +19,8 @@ from network_calib.observations import BoolArray, FloatArray, IntArray, Observat
 from network_calib.pairs import verify_pairs
 from network_calib.start import StartProblem
 
+# Which of several candidates is the spot is part of reading a recording: the same choice whatever is asked later.
+CHOICE_SEED = 0
 # As wide as the start of a calibration judges; an unknown lens bends honest spots by so much.
 TOLERANCE_PX = 4.0
 N_PASSES = 2
@@ -48,6 +50,16 @@ class Chosen:
     n_several: int
     n_preferred: int
     n_refused: int
+
+    def notes(self, name: str) -> tuple[str, ...]:
+        """What to tell of the choice among the candidates of a recording, if there was one."""
+        if not self.n_several:
+            return ()
+        told = (
+            f"{name}: of {self.n_several} pictures with several candidates, the other cameras preferred another than "
+            f"the best-scored in {self.n_preferred} and refused all in {self.n_refused}"
+        )
+        return (told,)
 
 
 def choose(

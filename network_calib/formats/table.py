@@ -33,8 +33,6 @@ _COLUMNS = ColumnNames(
     ("camera", *NUMBERS),
     f"expected {', '.join(REQUIRED)}, and frame or stamp_ns, and optionally sigma_px and score",
 )
-# Of the robust search when candidates are chosen on reading: the same table gives the same observations.
-CHOICE_SEED = 0
 Sizes = Mapping[str, tuple[int, int]]
 
 
@@ -196,16 +194,10 @@ def _candidates(path: Path, rows: _Rows, frame: IntArray, score: FloatArray) -> 
 
 def _chosen(path: Path, candidates: Candidates, size_px: Sizes | None) -> tuple[Observations, tuple[str, ...]]:
     """One row of each camera and frame, and what to tell of the choice."""
-    from network_calib.choose import choose
+    from network_calib.choose import CHOICE_SEED, choose
 
     chosen = choose(candidates, rng=np.random.default_rng(CHOICE_SEED), size_px=size_px)
-    if not chosen.n_several:
-        return chosen.observations, ()
-    told = (
-        f"{path.name}: of {chosen.n_several} pictures with several candidates, the other cameras preferred "
-        f"another than the best-scored in {chosen.n_preferred} and refused all in {chosen.n_refused}"
-    )
-    return chosen.observations, (told,)
+    return chosen.observations, chosen.notes(path.name)
 
 
 def _npz_arrays(path: Path) -> dict[str, np.ndarray]:

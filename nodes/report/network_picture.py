@@ -28,7 +28,7 @@ def draw_network(calibration: Calibration, spots_in_world: FloatArray, path: Pat
         spots_in_world: (F, 3), NaN where a spot has no position.
         path: of the PNG.
     """
-    axes_in_world, labels = _view_axes(calibration)
+    axes_in_world, labels = view_axes(calibration)
     unit = "m" if calibration.world.unit == "m" else "units"
     spots = spots_in_world[np.isfinite(spots_in_world).all(axis=1)] @ axes_in_world.T
     centres = np.array([camera.centre_in_world for camera in calibration.cameras]) @ axes_in_world.T
@@ -72,7 +72,7 @@ def _two_views(spans: FloatArray) -> tuple[Figure, list[Axes]]:
     return figure, list(figure.subplots(2, 1, height_ratios=[spans[1], spans[2]]))
 
 
-def _view_axes(calibration: Calibration) -> tuple[FloatArray, tuple[str, str, str]]:
+def view_axes(calibration: Calibration) -> tuple[FloatArray, tuple[str, str, str]]:
     """(3, 3) rows along, across and up, in world, and their labels.
 
     A frame that a camera lends has no vertical. There up is the mean of the cameras' own up directions, which people

@@ -15,7 +15,7 @@ from rich.text import Text
 from network_calib.cameras import LensModel
 from network_calib.result import PARAMETER_NAMES, CalibratedCamera, Calibration, Doubt, ErrorSummary
 from nodes.report.show_lrf import lrf_tables
-from nodes.report.tables import length, plain_table, plus_minus, share
+from nodes.report.tables import coordinate, length, plain_table, plus_minus, share
 
 if TYPE_CHECKING:
     from network_calib.evaluate import Evaluation
@@ -154,16 +154,10 @@ def _pose_table(calibration: Calibration) -> Table:
         rotation_sigma_deg = math.degrees(float(np.linalg.norm(sigma[:3])))
         table.add_row(
             Text(camera.name),
-            *(_coordinate(float(v), float(s)) for v, s in zip(camera.centre_in_world, sigma[3:6], strict=True)),
+            *(coordinate(float(v), float(s)) for v, s in zip(camera.centre_in_world, sigma[3:6], strict=True)),
             f"{rotation_sigma_deg:.2g}" if rotation_sigma_deg else "–",
         )
     return table
-
-
-def _coordinate(value: float, sigma: float) -> str:
-    """The camera that lends the frame has no sigma in it; it is the origin, not held fixed."""
-    is_origin = sigma < 1e-7 * max(1.0, abs(value))
-    return f"{round(value, 4) + 0.0:.4f}" if is_origin else plus_minus(value, sigma, max_decimals=5)
 
 
 def _error_table(calibration: Calibration) -> Table:

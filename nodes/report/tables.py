@@ -18,6 +18,12 @@ def plus_minus(value: float, sigma: float, *, n_digits: int = 2, max_decimals: i
     return f"{value:.{n_decimals}f}±{sigma:.{n_decimals}f}"
 
 
+def coordinate(value: float, sigma: float) -> str:
+    """A position's; the camera that lends the frame has no sigma in it: it is the origin, not held fixed."""
+    is_origin = sigma < 1e-7 * max(1.0, abs(value))
+    return f"{round(value, 4) + 0.0:.4f}" if is_origin else plus_minus(value, sigma, max_decimals=5)
+
+
 def length(value: float, unit: str) -> str:
     """A length with a unit that suits its size."""
     if not math.isfinite(value):
