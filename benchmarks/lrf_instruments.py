@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from benchmarks.lrf_pty_hour import run_on_pty
 from benchmarks.report import Row, Run, at_most, within
 from lrf_stereo.calibrate import calibrate_lrfs
 from lrf_stereo.study import accuracy
@@ -16,8 +17,7 @@ from lrf_stereo.study_data import StudyData
 from lrf_stereo.synthetic import paper_scene
 from lrf_stereo.tilt import ARCSEC_RAD
 from network_calib.errors import SpotcalError
-from network_calib.observations import FloatArray, Observations
-from nodes.devices.clock_fit import fit_clock
+from network_calib.observations import Observations
 from nodes.devices.errors import DeviceError, LineLostError
 from nodes.devices.mti import Mti
 from nodes.devices.mti_frames import FrameParser, OutputMode, OutputSettings, decode_data2, decode_legacy, encode
@@ -28,15 +28,23 @@ from nodes.lrf.acquisition import AcquisitionOptions
 from nodes.lrf.matching import lrf_spots, tilt_settings
 from nodes.lrf.tilt_of_session import ImuSeries, StepCounts, session_tilts
 from nodes.lrf_node import Acquired, LrfDevices, LrfNode
+from nodes.simulated.late_line import LateEmulator
 from nodes.simulated.line_faults import LineFaults
 from nodes.simulated.loopback import LoopbackTransport, VirtualClock
 from nodes.simulated.mti_device import MtiDevice
 from nodes.simulated.platform import SimulatedPlatform, Waving
-from nodes.simulated.scip_device import ScipDevice
+from nodes.simulated.scip_device import FIRST_RANGE_MM, ScipDevice
+from nodes.simulated.scip_model import URG_04LX
 from nodes.simulated.tilt_unit_device import AxisModel, TiltUnitDevice
 
-DRIFT = 1300e-6
 PAPER_DEG = (12.1, 23.2, 50.0)
+STAMP_AFTER_S = (1.0, 10.0, 60.0)
+# Verbose, terse and with echo; a limit that was hit, an error, a resolution, the banner of a network unit.
+TILT_REPLIES = (
+    b"* -2500\r\nTP * Current Tilt position is -907\r\n!T!T!P!P*\r\n! Maximum allowable Pan position is 3090\r\n"
+    b"* 185.142857 seconds arc per Tilt position\r\n\n*\r\n\n* 23.142857\r\n### E-Series\r\n*\r\n"
+)
+FED_BYTES = 64
 PLAY_STEPS, CAMERA_PERIOD_S, SIGMA_PX = 2.0, 0.04, 0.3
 
 
@@ -44,27 +52,51 @@ def measure(run: Run) -> Iterator[Row]:
     """All rows."""
     yield from _clock_rows(run)
     yield from _fault_rows(run)
+    # `python -m benchmarks.lrf_pty_hour` reads for an hour.
+    yield from run_on_pty(float(run.pick(120, 20))).rows()
     yield from _fuzz_rows(run)
     yield from _tilt_rows(run)
     yield from _acquisition_rows(run)
 
 
 def _clock_rows(run: Run) -> Iterator[Row]:
-    """Error of the newest scan's stamp, 1300 ppm of drift, delays of 0 to 100 ms of two kinds."""
-    delays: dict[str, Callable[[np.random.Generator, int], FloatArray]] = {
-        "mean 20 ms, cut at 100 ms": lambda rng, n: np.minimum(rng.exponential(0.02, n), 0.1),
-        "even from 0 to 100 ms": lambda rng, n: rng.uniform(0, 0.1, n),
+    """Error of the newest scan's stamp, 1300 ppm of drift, all that the driver hears late by 0 to 100 ms."""
+    delays: dict[str, Callable[[np.random.Generator], float]] = {
+        "mean 20 ms, cut at 100 ms": lambda rng: min(rng.exponential(0.02), 0.1),
+        "even from 0 to 100 ms": lambda rng: rng.uniform(0, 0.1),
     }
+    n_runs = run.pick(60, 6)
     for name, draw in delays.items():
-        for duration_s in (10.0, 60.0):
-            rng, errors = np.random.default_rng(0), []
-            for _ in range(run.pick(500, 50)):
-                device = np.arange(0.0, duration_s, 0.1)
-                true = device / (1 + DRIFT)
-                line = fit_clock(np.column_stack([device, true + draw(rng, len(device))]))
-                errors.append(line.host_s(float(device[-1])) - true[-1])
-            rms_ms = 1e3 * float(np.sqrt(np.mean(np.square(errors))))
-            yield at_most(f"scan stamp, delays {name}, after {duration_s:.0f} s: RMS", rms_ms, 1.0, unit=" ms")
+        errors = np.array([_stamp_errors(seed, draw) for seed in range(n_runs)])
+        for k, after_s in enumerate(STAMP_AFTER_S):
+            error, sigma = errors[:, k].T
+            rms_ms, sigma_ms = 1e3 * np.sqrt((error**2).mean()), 1e3 * np.sqrt((sigma**2).mean())
+            what = f"scan stamp, heard late {name}, after {after_s:.0f} s"
+            # In the first second the drift is not known: 1300 ppm of the two seconds since the clock was asked for.
+            reach_ms = 1.0 if after_s >= 10.0 else 3.0
+            yield at_most(f"{what}: RMS", float(rms_ms), reach_ms, unit=" ms", note=f"stated sigma {sigma_ms:.2f} ms")
+            yield within(f"{what}: RMS / stated sigma", float(rms_ms / sigma_ms), 0.8, 1.2)
+
+
+def _stamp_errors(seed: int, delay_s: Callable[[np.random.Generator], float]) -> list[tuple[float, float]]:
+    """(error, stated sigma) of the last stamp of the driver within each of STAMP_AFTER_S of scanning."""
+    rng, clock = np.random.default_rng(seed), VirtualClock()
+    device = ScipDevice(_turn_number)
+    scanner = Scip(LoopbackTransport(LateEmulator(device, lambda: delay_s(rng)), clock), clock=clock)
+    clock.sleep(rng.uniform(0, 1.0))
+    scanner.start()
+    begin_s, out, last = clock(), [], (0.0, 0.0)
+    for after_s in STAMP_AFTER_S:
+        while clock() < begin_s + after_s:
+            for scan in scanner.read(min(0.2, begin_s + after_s - clock())):
+                true_s = URG_04LX.steps.turn_s * int(scan.readings_mm[0] - FIRST_RANGE_MM)
+                last = scan.stamp_s - true_s, scan.sigma_s
+        out.append(last)
+    return out
+
+
+def _turn_number(begin_s: float) -> np.ndarray:
+    return np.full(URG_04LX.steps.n_measured, FIRST_RANGE_MM + round(begin_s / URG_04LX.steps.turn_s))
 
 
 def _fault_rows(run: Run) -> Iterator[Row]:
@@ -122,6 +154,7 @@ def _fuzz_rows(run: Run) -> Iterator[Row]:
     frame = encode(0x32, bytes(38)) + encode(0x36, bytes.fromhex("102002DFC580200C") + bytes(12))
     yield _fuzzed("SCIP", reply, n_bytes, _parse_scip())
     yield _fuzzed("MTi", frame, n_bytes, _parse_mti())
+    yield _fuzzed("tilt unit", TILT_REPLIES, n_bytes, _parse_tilt_unit())
 
 
 def _parse_scip() -> Callable[[bytes], None]:
@@ -162,6 +195,39 @@ def _fuzzed(name: str, valid: bytes, n_bytes: int, parse: Callable[[bytes], None
             n_foreign += 1
         fed += len(data)
     return at_most(f"{name} parser, {fed:.0e} mutated bytes: foreign exceptions", float(n_foreign), 0.0)
+
+
+class _FedLine(LoopbackTransport):
+    """A line on which a tilt unit seems to say whatever it is fed with."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        super().__init__(TiltUnitDevice(), clock)
+        self.fed, self._fed_clock = b"", clock
+
+    def read(self, timeout_s: float) -> bytes:
+        out, self.fed = self.fed[:FED_BYTES], self.fed[FED_BYTES:]
+        if not out:
+            self._fed_clock.sleep(timeout_s)
+        return out
+
+    def write(self, data: bytes) -> None:
+        del data
+
+
+def _parse_tilt_unit() -> Callable[[bytes], None]:
+    clock = VirtualClock()
+    line = _FedLine(clock)
+    unit = TiltUnit(line, clock=clock)
+
+    def parse(data: bytes) -> None:
+        line.fed += data
+        while line.fed:
+            try:
+                unit.steps()
+            except SpotcalError:
+                continue
+
+    return parse
 
 
 def _tilt_rows(run: Run) -> Iterator[Row]:

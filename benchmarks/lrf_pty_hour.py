@@ -30,7 +30,7 @@ from nodes.simulated.line_faults import LineFaults
 from nodes.simulated.scip_device import FIRST_RANGE_MM, ScipDevice
 from nodes.simulated.scip_model import URG_04LX
 
-FLIPS_PER_BYTE, N_UNPLUGS, UNPLUGGED_S = 1e-4, 10, 2.0
+FLIPS_PER_BYTE, N_UNPLUGS, UNPLUGGED_S, APART_S = 1e-4, 10, 2.0, 20.0
 N_BEAMS, N_TIME_BEAMS, TIME_BASE = URG_04LX.steps.n_measured, 4, 4000
 TURN_S = URG_04LX.steps.turn_s
 READ_S, REOPEN_S, TELL_S = 0.2, 0.25, 60.0
@@ -127,7 +127,8 @@ def begin_s_of(readings_mm: IntArray) -> float:
 
 
 def _serve(link: Path, duration_s: float, parent: Connection) -> None:
-    unplugs = [(duration_s * (k + 0.5) / N_UNPLUGS, UNPLUGGED_S) for k in range(N_UNPLUGS)]
+    n_unplugs = min(N_UNPLUGS, int(duration_s / APART_S))
+    unplugs = [(duration_s * (k + 0.5) / n_unplugs, UNPLUGGED_S) for k in range(n_unplugs)]
     faults = LineFaults(np.random.default_rng(0), flips_per_byte=FLIPS_PER_BYTE, unplugs=unplugs)
     server, parent_id = EmulatorServer(), os.getppid()
     server.add_pty(ScipDevice(readings_of), link, faults=faults)
@@ -155,7 +156,11 @@ class _Reader:
         begin_s, begin_processor_s = time.monotonic(), time.process_time()
         line = self._open()
         scanner = scip.Scip(line)
-        scanner.start()
+        try:
+            scanner.start()
+        except DeviceError:
+            line.close()
+            line = self._reopen(scanner)
         tally, told_s = self._tally, begin_s
         while (now_s := time.monotonic()) < begin_s + duration_s:
             try:

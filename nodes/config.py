@@ -6,17 +6,15 @@ Where both say something of a camera, the configuration wins. Intrinsics that co
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError
 
 from network_calib.cameras import LensModel
 from network_calib.errors import InputError
-from network_calib.formats.recording import Recording, read_text
+from network_calib.formats.recording import Recording
 from network_calib.observations import FloatArray, Observations
 from network_calib.room_setup import (
     Anchor,
@@ -28,7 +26,8 @@ from network_calib.room_setup import (
     Options,
     UnitScale,
 )
-from nodes.config_faults import fault, hint
+from nodes.config_faults import hint
+from nodes.config_file import read_config
 from nodes.config_model import (
     AnchorConfig,
     CameraConfig,
@@ -41,7 +40,6 @@ from nodes.config_model import (
 )
 
 START_METHODS = ("auto", "factorisation", "anchor")
-_MAX_BYTES = 16 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +67,7 @@ def load_room(path: Path) -> RoomConfig:
     Raises:
         InputError: no TOML, or lists every fault with its path, for example `cameras[2].lens`.
     """
-    try:
-        document = tomllib.loads(read_text(path, limit_bytes=_MAX_BYTES))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from None
-    try:
-        return RoomConfig.model_validate(document)
-    except ValidationError as error:
-        faults = [fault(detail) for detail in error.errors(include_url=False)]
-        noun = "fault" if len(faults) == 1 else "faults"
-        raise InputError("\n  ".join([f"{path} holds {len(faults)} {noun}:", *faults])) from None
+    return read_config(path, RoomConfig)
 
 
 def resolve(

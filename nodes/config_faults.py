@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, get_args
 
-from nodes.config_model import (
-    CameraConfig,
-    CentresAnchor,
-    DistanceAnchor,
-    InstrumentConfig,
-    LrfConfig,
-    PointsAnchor,
-    RoomConfig,
-    SigmaConfig,
-    StereoAnchor,
-)
+from pydantic import BaseModel
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -27,33 +18,37 @@ def hint(word: str, known: tuple[str, ...]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def fault(detail: ErrorDetails) -> str:
-    """One fault as `path: value, what is wrong`, with the nearest known name for a mistyped key."""
+def fault(detail: ErrorDetails, model: type[BaseModel], file: str) -> str:
+    """One fault as `path: value, what is wrong`, with the nearest known name for a mistyped key.
+
+    Args:
+        detail: as pydantic says it.
+        model: of the whole file.
+        file: its name, for a fault of the whole.
+    """
     location = list(detail["loc"])
     if location[:1] == ["anchor"] and len(location) > 1:
         del location[1]  # the kind, which pydantic puts there and the user did not write
-    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or "room.toml"
+    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or file
     if detail["type"] == "extra_forbidden":
-        known = _known_keys(location[:-1])
-        return f"{path}: unknown key{hint(str(location[-1]), known)}"
+        return f"{path}: unknown key{hint(str(location[-1]), known_keys(model, location[:-1]))}"
     message = detail["msg"].removeprefix("Value error, ")
     if detail["type"] in ("missing", "value_error"):
         return f"{path}: {message[0].lower()}{message[1:]}"
     return f"{path}: {detail['input']!r:.60}, {message[0].lower()}{message[1:]}"
 
 
-def _known_keys(location: list[int | str]) -> tuple[str, ...]:
-    """The keys that may stand where the fault was found."""
-    words = [part for part in location if isinstance(part, str)]
-    if words[:1] == ["cameras"]:
-        model = SigmaConfig if words[-1] == "sigma" else CameraConfig
-        return tuple(model.model_fields)
-    if words[:1] == ["lrfs"]:
-        return tuple((InstrumentConfig if words[-1] == "sigma" else LrfConfig).model_fields)
-    if words[:1] == ["anchor"]:
-        models = (StereoAnchor, DistanceAnchor, CentresAnchor, PointsAnchor)
-        return tuple({key: None for model in models for key in model.model_fields})
-    if words:
-        annotation = RoomConfig.model_fields[words[0]].default
-        return tuple(type(annotation).model_fields)
-    return tuple(RoomConfig.model_fields)
+def known_keys(model: type[BaseModel], location: Sequence[int | str]) -> tuple[str, ...]:
+    """The keys that may stand at a place of a file of the model."""
+    models: list[type[BaseModel]] = [model]
+    for key in (part for part in location if isinstance(part, str)):
+        fields = [one.model_fields[key] for one in models if key in one.model_fields]
+        models = [inner for field in fields for inner in _models(field.annotation)]
+    return tuple({key: None for one in models for key in one.model_fields})
+
+
+def _models(annotation: object) -> list[type[BaseModel]]:
+    """The models within a type such as `list[CameraConfig] | None`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]

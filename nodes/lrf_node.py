@@ -8,58 +8,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nodes.devices.clock_fit import ClockFit
+from network_calib.errors import InputError
 from nodes.devices.errors import DeviceError, LineLostError
-from nodes.devices.mti import Imu, ImuCounts, ImuSample
-from nodes.devices.scip import Scan, ScanCounts, Scip
-from nodes.devices.tilt_unit import TiltDrive, TiltUnit
+from nodes.devices.mti import Imu, ImuCounts, NullImu
+from nodes.devices.scip import ScanCounts, Scip
+from nodes.devices.tilt_unit import NullTiltUnit, TiltDrive, TiltUnit
 from nodes.devices.transport import Transport
 from nodes.lrf.acquisition import Acquisition, AcquisitionOptions, Phase, Progress, SettingData
-from nodes.lrf.tilt_of_session import ImuSeries, SessionTilts, StepCounts, session_tilts
+from nodes.lrf.hand_tilt import HandTilt
+from nodes.lrf.imu_log import ImuLog
+from nodes.lrf.recorder import NullRecorder, Recorder
+from nodes.lrf.tilt_of_session import SessionTilts, StepCounts, session_tilts
 
 READ_S = 0.05
 REOPEN_FIRST_S, REOPEN_LONGEST_S = 0.5, 10.0
-
-
-class Recorder(Protocol):
-    """Keeps what the devices sent."""
-
-    def scan(self, scan: Scan) -> None:
-        """A scan, as it came."""
-        ...
-
-    def imu(self, sample: ImuSample) -> None:
-        """A sample, as it came."""
-        ...
-
-    def tilt(self, now_s: float, tilt_rad: float, steps: int | None) -> None:
-        """The tilt unit arrived."""
-        ...
-
-    def event(self, now_s: float, text: str) -> None:
-        """Something happened: a phase, a loss, a return."""
-        ...
-
-
-class NullRecorder:
-    """Keeps nothing."""
-
-    def scan(self, scan: Scan) -> None:
-        """See `Recorder`."""
-
-    def imu(self, sample: ImuSample) -> None:
-        """See `Recorder`."""
-
-    def tilt(self, now_s: float, tilt_rad: float, steps: int | None) -> None:
-        """See `Recorder`."""
-
-    def event(self, now_s: float, text: str) -> None:
-        """See `Recorder`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +34,7 @@ class LrfDevices:
 
     Attributes:
         scanner: the scanner.
-        tilt: what tilts it.
+        tilt: what tilts it; a NullTiltUnit where somebody does so by hand.
         imu: what measures the tilt.
         reopen_scanner: opens the scanner's line again after it was lost; None: a loss is final.
     """
@@ -98,30 +64,6 @@ class Acquired:
     n_reopened: int
 
 
-@dataclass(slots=True)
-class _ImuLog:
-    """Samples with the clock that places them."""
-
-    fit: ClockFit = field(default_factory=ClockFit)
-    samples: list[ImuSample] = field(default_factory=list)
-
-    def add(self, sample: ImuSample) -> None:
-        self.fit.add(sample.device_s, sample.arrival_s)
-        self.samples.append(sample)
-
-    def series(self) -> ImuSeries | None:
-        if not self.samples:
-            return None
-        # One line for all samples: an integral needs times that grow as the device's do.
-        line = self.fit.line()
-        device_s = np.array([sample.device_s for sample in self.samples])
-        return ImuSeries(
-            line.offset_s + line.gain * (device_s - line.reference_s),
-            np.array([sample.rate_rad_s for sample in self.samples]),
-            np.array([sample.acceleration_m_s2 for sample in self.samples]),
-        )
-
-
 class LrfNode:
     """Runs one acquisition.
 
@@ -132,6 +74,10 @@ class LrfNode:
         clock: this machine's clock, s.
         sleep: waits; a simulation lets its own time run.
         axis_in_imu: (3,) the tilt axis in the IMU's axes.
+        is_confirmed: of an LRF that is tilted by hand: whether the operator has just said that it stands.
+
+    Raises:
+        InputError: it is tilted by hand, and neither an IMU nor anybody tells when it stands.
     """
 
     def __init__(
@@ -143,15 +89,24 @@ class LrfNode:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         axis_in_imu: tuple[float, float, float] = (0.0, 1.0, 0.0),
+        is_confirmed: Callable[[], bool] | None = None,
     ) -> None:
         self._devices, self._options = devices, options
         self._recorder = recorder or NullRecorder()
         self._clock, self._sleep = clock, sleep
         self._axis_in_imu = np.array(axis_in_imu)
         self.acquisition = Acquisition(options, steps=devices.scanner.info.steps)
-        self._imu_log = _ImuLog()
+        self._imu_log = ImuLog()
+        self._hand: HandTilt | None = None
+        self._is_confirmed = is_confirmed or (lambda: False)
+        if isinstance(devices.tilt, NullTiltUnit):
+            if isinstance(devices.imu, NullImu) and is_confirmed is None:
+                raise InputError("no tilt unit, no IMU and nobody to ask: nothing tells when the LRF stands")
+            self._hand = HandTilt(axis_in_imu=self._axis_in_imu)
         self._steps: list[int | None] = []
         self._n_reopened = 0
+        # After a bump it need not be turned any further.
+        self._is_resettling = False
 
     def run(self, on_progress: Callable[[Progress], None] | None = None) -> Acquired:
         """Acquire all tilts.
@@ -167,12 +122,14 @@ class LrfNode:
             if now is not phase:
                 self._recorder.event(self._clock(), str(now))
                 phase = now
-            if now is Phase.MOVING:
+            if now is Phase.MOVING and self._hand is None:
                 self._move()
             else:
                 self._pump(READ_S)
+            if self._hand is not None:
+                self._look_at_hand(self._hand)
             if on_progress is not None:
-                on_progress(self.acquisition.progress())
+                on_progress(self._progress())
         self._recorder.event(self._clock(), str(Phase.DONE))
         return self._acquired()
 
@@ -182,6 +139,37 @@ class LrfNode:
         self._steps.append(steps)
         self._recorder.tilt(self._clock(), tilt_rad, steps)
         self.acquisition.moved(self._clock())
+
+    def _look_at_hand(self, hand: HandTilt) -> None:
+        """Go on when the person has tilted the LRF and let go; begin the tilt anew when it was bumped."""
+        acquisition = self.acquisition
+        if acquisition.phase not in (Phase.MOVING, Phase.DONE) and hand.is_bumped:
+            turned_deg = float(np.degrees(hand.turned_rad))
+            self._recorder.event(self._clock(), f"the LRF was turned by {turned_deg:.1f} deg: this tilt begins anew")
+            acquisition.begin_anew()
+            self._is_resettling = True
+        if acquisition.phase is not Phase.MOVING:
+            return
+        target_rad, is_first = acquisition.next_tilt_rad, not acquisition.settings
+        is_still_again = self._is_resettling and hand.still_since_s is not None
+        if is_still_again or hand.has_arrived(target_rad, is_first=is_first) or self._is_confirmed():
+            now_s = self._clock()
+            if hand.left_s is not None and not self._is_resettling:
+                acquisition.left_rest(hand.left_s)
+            self._steps.append(None)
+            self._recorder.tilt(now_s, target_rad, None)
+            acquisition.moved(now_s if hand.still_since_s is None else hand.still_since_s)
+            self._is_resettling = False
+            hand.begin()
+
+    def _progress(self) -> Progress:
+        progress, hand = self.acquisition.progress(), self._hand
+        if hand is None or progress.phase is not Phase.MOVING:
+            return progress
+        tilt_rad = hand.tilt_rad
+        stands = "" if tilt_rad is None else f" (it stands at {np.degrees(tilt_rad):.1f})"
+        target_deg = np.degrees(self.acquisition.next_tilt_rad)
+        return replace(progress, message=f"tilt the LRF to about {target_deg:.1f} deg{stands}, then let go")
 
     def _pump(self, timeout_s: float) -> None:
         """Take what the devices sent."""
@@ -200,6 +188,8 @@ class LrfNode:
         for sample in self._devices.imu.read(0.0):
             self._recorder.imu(sample)
             self._imu_log.add(sample)
+            if self._hand is not None:
+                self._hand.add(sample)
 
     def _reopen(self, error: LineLostError) -> None:
         """Wait for the scanner to come back, longer each time, while the other devices go on."""

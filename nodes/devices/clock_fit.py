@@ -1,26 +1,29 @@
-"""A device's clock in this machine's time, from when its messages arrive: offset and drift, with their covariance.
+"""A device's clock in this machine's time: offset and drift, with their covariance.
 
-A message arrives after the instant that it tells, by a fixed latency and a delay that is never negative. So the true
-line host = f(device) lies below all arrivals, and near the quickest. Of the lines that do, the posterior mean is taken,
-for delays that are either spread evenly up to an unknown longest one or fall off exponentially with an unknown mean,
-whichever the delays themselves make likelier. Its error falls as 1/n, that of a mean of arrivals only as 1/sqrt(n).
+Two kinds of messages tell of it. One that the device sends of itself arrives after the instant that it tells, by a
+fixed latency and a delay that is never negative: the line host = f(device) + latency lies below all arrivals, and near
+the quickest. Delays are taken to be spread evenly up to an unknown longest one, or to fall off exponentially with an
+unknown mean, whichever they themselves make likelier; the error then falls as 1/n, that of a mean of arrivals only as
+1/sqrt(n). An answer to a question tells an instant between asking and hearing: low <= f(device) <= high, without any
+latency, which is learnt so. The posterior mean is taken, over offset, drift and latency.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaln
 
 from network_calib.observations import FloatArray
+from nodes.devices.clock_posterior import ClockPrior, posterior_line
 
-# No clock of an instrument is worse: 1300 ppm is the worst that was recorded. One standard deviation.
-GAIN_SIGMA = 2e-3
-GRID, GRID_REACH = 61, 14.0
+# 1300 ppm is the worst that was recorded, of an URG-04LX. One standard deviation.
+GAIN_SIGMA = 1.5e-3
 MIN_ARRIVALS = 3
-TINY_S = 1e-12
+# While few messages have come, the line is made anew whenever there are so many more.
+GROWTH, GROWN = 1.08, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +31,20 @@ class ClockLine:
     """host = offset_s + gain (device - reference_s).
 
     Attributes:
-        reference_s: device time in the middle of the arrivals.
+        reference_s: a device time in the midst of the messages.
         offset_s: host time of that instant.
         gain: host seconds per device second.
         covariance: (2, 2) of offset and gain.
+        latency_s: from an instant to the earliest arrival of the message that tells it.
+        latency_sigma_s: its standard deviation.
     """
 
     reference_s: float
     offset_s: float
     gain: float
     covariance: FloatArray
+    latency_s: float = 0.0
+    latency_sigma_s: float = 0.0
 
     def host_s(self, device_s: float) -> float:
         """Host time of a device time."""
@@ -49,101 +56,117 @@ class ClockLine:
         return float(np.sqrt(row @ self.covariance @ row))
 
 
+class Bounds(NamedTuple):
+    """What an answer tells.
+
+    Attributes:
+        device_s: the instant, as the device calls it.
+        earliest_s: host time before which it was not.
+        latest_s: host time after which it was not; infinite where nothing but `heard_s` tells.
+        heard_s: when the answer had come.
+    """
+
+    device_s: float
+    earliest_s: float
+    latest_s: float
+    heard_s: float
+
+
 class ClockFit:
-    """Fits the line to the arrivals of the last while.
+    """Fits the line to the messages of the last while.
 
     Args:
-        latency_s: the fixed part of the delay, from the instant that is told to the earliest arrival.
-        window_s: arrivals older than this are forgotten, so that a drift that changes with warmth is followed.
+        latency_s: the fixed part of an arrival's delay, as it is thought to be.
+        latency_sigma_s: how well that is known; 0: exactly.
+        gain: host seconds per device second, as far as known.
+        gain_sigma: how well.
+        resolution_s: the device's times are cut to multiples of this.
+        window_s: messages older than this are forgotten, so that a drift that changes with warmth is followed. A
+            latency that answers have taught is kept.
         refit_s: the line is made anew when so much device time has passed.
     """
 
-    def __init__(self, *, latency_s: float = 0.0, window_s: float = 120.0, refit_s: float = 1.0) -> None:
-        self._latency_s, self._window_s, self._refit_s = latency_s, window_s, refit_s
+    def __init__(
+        self,
+        *,
+        latency_s: float = 0.0,
+        latency_sigma_s: float = 0.0,
+        gain: float = 1.0,
+        gain_sigma: float = GAIN_SIGMA,
+        resolution_s: float = 0.0,
+        window_s: float = 120.0,
+        refit_s: float = 1.0,
+    ) -> None:
+        self._prior = ClockPrior(gain, gain_sigma, latency_s, latency_sigma_s, resolution_s)
+        self._window_s, self._refit_s = window_s, refit_s
         self._arrivals: deque[tuple[float, float]] = deque()
+        self._bounds: list[Bounds] = []
         self._line: ClockLine | None = None
-        self._fitted_s = -np.inf
+        self._fitted_s, self._n_fitted = -np.inf, 0
 
     def add(self, device_s: float, arrival_s: float) -> None:
         """A message that tells the instant `device_s` arrived at `arrival_s`; device times grow."""
-        self._arrivals.append((device_s, arrival_s - self._latency_s))
+        if self._bounds and self._bounds[-1][0] < device_s - self._window_s:
+            line = self.line()
+            self._prior = replace(self._prior, latency_s=line.latency_s, latency_sigma_s=line.latency_sigma_s)
+            self._bounds.clear()
+        self._arrivals.append((device_s, arrival_s))
         while self._arrivals[0][0] < device_s - self._window_s:
             self._arrivals.popleft()
+
+    def bound(self, bounds: Bounds) -> None:
+        """An answer told the device's clock; device times grow."""
+        self._bounds.append(bounds)
+        self._line = None
 
     def line(self) -> ClockLine:
         """The line as known now.
 
         Raises:
-            ValueError: nothing has arrived.
+            ValueError: nothing is known.
         """
-        if not self._arrivals:
+        if not self._arrivals and not self._bounds:
             raise ValueError("no arrivals to fit a clock to")
-        newest_s = self._arrivals[-1][0]
+        newest_s, n = (self._arrivals or self._bounds)[-1][0], len(self._arrivals)
         # In its first seconds a clock gains from every message.
-        if self._line is None or newest_s - self._fitted_s >= self._refit_s or len(self._arrivals) < 100:
-            self._line, self._fitted_s = fit_clock(np.array(self._arrivals)), newest_s
+        is_old = newest_s - self._fitted_s >= self._refit_s or (n < GROWN and n >= GROWTH * self._n_fitted)
+        if self._line is None or (is_old and (n, newest_s) != (self._n_fitted, self._fitted_s)):
+            self._line = fit_clock(np.array(self._arrivals), bounds=np.array(self._bounds), prior=self._prior)
+            self._fitted_s, self._n_fitted = newest_s, n
         return self._line
 
 
-def fit_clock(arrivals: FloatArray) -> ClockLine:
-    """The line under arrivals (n, 2) of device and host time, device times growing."""
-    device, host = arrivals[:, 0], arrivals[:, 1]
-    reference = float((device[0] + device[-1]) / 2)
-    x = device - reference
-    y = host - device
-    span, n = float(x[-1] - x[0]), len(x)
-    if n < MIN_ARRIVALS or span == 0:
-        lowest, spread = float(y.min()), max(float(np.ptp(y)), 1e-3)
-        return ClockLine(reference, reference + lowest, 1.0, np.diag([spread**2, GAIN_SIGMA**2]))
-    # Only corners of the convex hull can touch a line from above, or be the farthest from it.
-    low, high = _lower_hull(x, y), _lower_hull(x, -y)
-    left, right = _touching_line(x[low], y[low])
-    scale = 2 * float(np.mean(y - (left + (right - left) * (x - x[0]) / span))) / n + 1e-9
-    # Not symmetric: no line of the grid then touches a point exactly, where rounding would decide whether it counts.
-    offsets = scale * np.linspace(-GRID_REACH, 1.0137 * GRID_REACH, GRID)
-    ends = np.stack(np.meshgrid(left + offsets, right + offsets, indexing="ij"), axis=-1).reshape(-1, 2)
-    log_weight = (
-        _log_posterior(ends, (x - x[0]) / span, y, low, high)
-        - 0.5 * ((ends[:, 1] - ends[:, 0]) / span / GAIN_SIGMA) ** 2
-    )
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    mean = weight @ ends
-    # A cell of the grid is an interval, not a point.
-    spread = (ends - mean).T @ (weight[:, None] * (ends - mean)) + np.eye(2) * (offsets[1] - offsets[0]) ** 2 / 12
-    to_line = np.array([[0.5, 0.5], [-1 / span, 1 / span]])
-    offset, gain = to_line @ mean
-    return ClockLine(reference, reference + float(offset), 1 + float(gain), to_line @ spread @ to_line.T)
+def fit_clock(arrivals: FloatArray, *, bounds: FloatArray | None = None, prior: ClockPrior | None = None) -> ClockLine:
+    """The line of messages and answers.
+
+    Args:
+        arrivals: (n, 2) device and host time, device times growing.
+        bounds: (m, 4) columns of `Bounds`. Those that contradict one another are left out.
+        prior: what is known of gain and latency beforehand.
+    """
+    prior = prior or ClockPrior(1.0, GAIN_SIGMA, 0.0, 0.0)
+    heard = np.reshape(np.array(arrivals, dtype=np.float64), (-1, 2))
+    told = np.reshape(np.array([] if bounds is None else bounds, dtype=np.float64), (-1, 4))
+    line = None
+    if len(heard) >= MIN_ARRIVALS and np.ptp(heard[:, 0]) > 0:
+        line = posterior_line(heard, told, prior)
+    if line is None and len(told):
+        line = posterior_line(np.empty((0, 2)), told, prior)
+    if line is None and len(heard) >= MIN_ARRIVALS and np.ptp(heard[:, 0]) > 0:
+        line = posterior_line(heard, np.empty((0, 4)), prior)
+    if line is not None:
+        return ClockLine(
+            line.reference_s, line.offset_s, line.gain, line.covariance, line.latency_s, line.latency_sigma_s
+        )
+    if not len(heard):
+        heard = told[:, [0, 3]]
+    return _of_few(heard, prior)
 
 
-def _log_posterior(ends: FloatArray, u: FloatArray, y: FloatArray, low: list[int], high: list[int]) -> FloatArray:
-    """(m,) of lines by their heights (m, 2) at u = 0 and 1; the delays' scale integrated out under a prior 1/scale."""
-    n = len(y)
-    shortest = (y[low] - ends[:, :1] * (1 - u[low]) - ends[:, 1:] * u[low]).min(axis=1)
-    longest = (y[high] - ends[:, :1] * (1 - u[high]) - ends[:, 1:] * u[high]).max(axis=1)
-    mean = y.mean() - ends[:, 0] * (1 - u.mean()) - ends[:, 1] * u.mean()
-    even = -np.log(n) - n * np.log(np.maximum(longest, TINY_S))
-    # The integral over an exponential's mean gives (n - 1)! / (n mean)^n.
-    falling = gammaln(n) - n * np.log(n * np.maximum(mean, TINY_S))
-    return np.where(shortest >= 0, np.logaddexp(even, falling), -np.inf)
-
-
-def _touching_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Heights at both ends of the edge of a lower hull that spans the middle: the highest line below all points."""
-    middle = (x[0] + x[-1]) / 2
-    k = min(int(np.searchsorted(x, middle, side="right")) - 1, len(x) - 2)
-    slope = (y[k + 1] - y[k]) / (x[k + 1] - x[k])
-    return float(y[k] + slope * (x[0] - x[k])), float(y[k] + slope * (x[-1] - x[k]))
-
-
-def _lower_hull(x: FloatArray, y: FloatArray) -> list[int]:
-    """Indices of the lower convex hull of points with growing x (Andrew's monotone chain)."""
-    hull: list[int] = []
-    for k in range(len(x)):
-        while len(hull) > 1:
-            a, b = hull[-2], hull[-1]
-            if (x[b] - x[a]) * (y[k] - y[a]) - (y[b] - y[a]) * (x[k] - x[a]) > 0:
-                break
-            hull.pop()
-        hull.append(k)
-    return hull
+def _of_few(heard: FloatArray, prior: ClockPrior) -> ClockLine:
+    """One or two messages tell an offset and nothing of the drift."""
+    reference = float((heard[0, 0] + heard[-1, 0]) / 2)
+    delays = heard[:, 1] - heard[:, 0]
+    lowest, spread = float(delays.min()) - prior.latency_s, max(float(np.ptp(delays)), 1e-3)
+    covariance = np.diag([spread**2 + prior.latency_sigma_s**2, prior.gain_sigma**2])
+    return ClockLine(reference, reference + lowest, prior.gain, covariance, prior.latency_s, prior.latency_sigma_s)

@@ -148,7 +148,8 @@ class ReplyParser:
 
 
 def _checked(lines: list[str]) -> Reply | None:
-    if len(lines) < 2 or not lines[0]:
+    # A sum counts six bits of every character; everything that a scanner says has the eighth clear.
+    if len(lines) < 2 or not lines[0] or not all(line.isascii() for line in lines):
         return None
     echo, status, rest = lines[0], lines[1], lines[2:]
     # SCIP 1 answers a version request, and the change to SCIP 2, by a bare status without sum.

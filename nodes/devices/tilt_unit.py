@@ -87,7 +87,7 @@ class TiltDrive(Protocol):
 
 
 class NullTiltUnit:
-    """No tilt unit: somebody tilts the LRF by hand, and the IMU alone tells the angle."""
+    """No tilt unit: somebody tilts the LRF by hand, and the IMU alone tells when it stands, and where."""
 
     def go_to(self, tilt_rad: float, *, meanwhile: Callable[[], None] | None = None) -> int | None:
         """Nothing moves by itself."""
@@ -225,9 +225,11 @@ class TiltUnit:
     def _number(self, query: str) -> float:
         reply = self._command(query)
         found = NUMBER.search(reply)
-        if found is None:
-            raise DeviceError(f"{self._line.name}: the tilt unit answers {query} by {reply!r}, expected a number")
-        return float(found[0])
+        number = float(found[0]) if found else math.inf
+        # A line that repeats a digit a few hundred times makes a number that is none.
+        if not math.isfinite(number):
+            raise DeviceError(f"{self._line.name}: the tilt unit answers {query} by {reply[:80]!r}, expected a number")
+        return number
 
     def _command(
         self, command: str, *, timeout_s: float = REPLY_TIMEOUT_S, meanwhile: Callable[[], None] | None = None
@@ -239,13 +241,14 @@ class TiltUnit:
             reply = self._next_reply()
             if reply is not None:
                 break
-            left_s = end_s - self._clock()
-            if left_s <= 0:
+            # Also when the time is over: `meanwhile` may have taken it all, and the answer be there.
+            left_s = max(end_s - self._clock(), 0.0)
+            heard = self._line.read(left_s if meanwhile is None else min(left_s, POLL_S))
+            if not heard and left_s == 0:
                 raise DeviceError(
                     f"{self._line.name}: no answer from the tilt unit to {command} within {timeout_s:.0f} s",
                     advice=f"Is this the tilt unit's port, and its speed {BAUD} baud?",
                 )
-            heard = self._line.read(left_s if meanwhile is None else min(left_s, POLL_S))
             self._text = (self._text + heard.decode("ascii", errors="replace"))[-MAX_REPLY_BYTES:]
             if meanwhile is not None:
                 meanwhile()

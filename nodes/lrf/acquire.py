@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import csv
+import select
+import sys
 import time
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +18,11 @@ from network_calib.errors import InputError
 from nodes.devices import scip
 from nodes.devices.tilt_unit import NullTiltUnit
 from nodes.devices.transport import Transport, open_transport
+from nodes.lrf.acquired_tables import write_acquired
 from nodes.lrf.acquisition import AcquisitionOptions, Progress
 from nodes.lrf.monitor import MonitorAddresses, open_tilt_and_imu
 from nodes.lrf.recorder import JsonlRecorder
 from nodes.lrf_node import Acquired, LrfDevices, LrfNode
-
-CROSSINGS, TILTS = "crossings.csv", "tilts.csv"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,45 +86,27 @@ def acquire(addresses: MonitorAddresses, plan: AcquirePlan, *, console: Console)
         tilt = unit or NullTiltUnit()
         recorder = stack.enter_context(JsonlRecorder(plan.out))
         live = stack.enter_context(Live(console=console, refresh_per_second=4, transient=True))
-        node = LrfNode(LrfDevices(scanner, tilt, imu, open_scanner), options, recorder=recorder, clock=clock)
+        node = LrfNode(
+            LrfDevices(scanner, tilt, imu, open_scanner),
+            options,
+            recorder=recorder,
+            clock=clock,
+            is_confirmed=_is_enter_pressed if sys.stdin.isatty() else None,
+        )
         acquired = node.run(lambda progress: live.update(_told(progress)))
         scanner.stop()
-    write_tables(plan, acquired)
+    write_acquired(plan.out, plan.name, acquired)
     return acquired
+
+
+def _is_enter_pressed() -> bool:
+    """Whether there is a line to read; it is taken away."""
+    is_there = bool(select.select([sys.stdin], [], [], 0)[0])
+    if is_there:
+        sys.stdin.readline()
+    return is_there
 
 
 def _told(progress: Progress) -> Text:
     sigma = f"; plane to {1e3 * progress.sigma_m:.1f} mm" if np.isfinite(progress.sigma_m) else ""
     return Text(f"tilt {progress.setting + 1} of {progress.n_settings}: {progress.message}{sigma}")
-
-
-def write_tables(plan: AcquirePlan, acquired: Acquired) -> None:
-    """Write `crossings.csv` (with stamps; frames are joined to it later) and `tilts.csv`."""
-    tilts = acquired.tilts.tilts
-    _write(
-        plan.out / TILTS,
-        ("lrf", "setting", "angle_deg", "sigma_deg"),
-        [
-            (plan.name, k, float(np.degrees(angle)), float(np.degrees(sigma)))
-            for k, (angle, sigma) in enumerate(zip(tilts.angle_rad, tilts.sigma_rad, strict=True))
-        ],
-    )
-    columns = ("range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "sigma_out_of_plane_m")
-    rows = [
-        (
-            plan.name,
-            round(1e9 * float(setting.crossings.time_s[row])),
-            k,
-            *(float(getattr(setting.crossings, name)[row]) for name in columns),
-        )
-        for k, setting in enumerate(acquired.settings)
-        for row in range(len(setting.crossings))
-    ]
-    _write(plan.out / CROSSINGS, ("lrf", "stamp_ns", "setting", *columns), rows)
-
-
-def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)

@@ -1,6 +1,6 @@
 """The paper's acquisition, section IV, as a state machine: what an LRF node does at one tilt after the other.
 
-    MOVING      the tilt unit goes to the next angle (nothing to wait for where the LRF is tilted by hand)
+    MOVING      the tilt unit goes to the next angle, or somebody tilts the LRF by hand
     RESTING     the platform comes to rest; the IMU learns its bias
     BACKGROUND  scans without the spot are learnt
     COLLECTING  the spot is raised and lowered through the scan plane until there are enough crossings
@@ -11,7 +11,7 @@ It knows no device, no clock and no bus: scans and commands go in and out, time 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -24,6 +24,8 @@ from network_calib.observations import BoolArray, FloatArray, IntArray
 
 # Crossings are looked for anew after so many scans.
 SCANS_BETWEEN_LOOKS = 10
+# Less is not told apart from the ball itself.
+EDGE_M = 0.1
 
 
 class Phase(StrEnum):
@@ -73,7 +75,7 @@ class SettingData:
     Attributes:
         crossings: of the spot, all two-sided.
         rest_begin_s: when the platform had come to rest.
-        rest_end_s: when the next move began.
+        rest_end_s: until when it surely rested.
     """
 
     crossings: Crossings
@@ -153,6 +155,16 @@ class Acquisition:
         """The platform has arrived at `next_tilt_rad`."""
         self._setting = _Setting(rest_begin_s=now_s)
 
+    def left_rest(self, left_s: float) -> None:
+        """The platform stood still at its last tilt for longer than crossings were looked for: until then."""
+        if self._done:
+            last = self._done[-1]
+            self._done[-1] = replace(last, rest_end_s=max(last.rest_end_s, left_s))
+
+    def begin_anew(self) -> None:
+        """The platform does not stand where it stood: what was acquired at this tilt is of two, and is dropped."""
+        self._setting = None
+
     def scan(self, stamp_s: float, readings_mm: IntArray) -> None:
         """A scan: its stamp at step 0, and its readings (B,). While nothing rests, scans pass unheeded."""
         setting = self._setting
@@ -167,7 +179,7 @@ class Acquisition:
         found = find_spots(
             range_m[None], setting.background, steps=self._steps, ball_diameter_m=self._options.ball_diameter_m
         )
-        setting.candidates.append(found)
+        setting.candidates.append(found.select(~_is_edge(found)))
         setting.collecting_stamps.append(stamp_s)
         if len(setting.collecting_stamps) % SCANS_BETWEEN_LOOKS == 0:
             self._look(setting)
@@ -247,6 +259,19 @@ def plane_sigma_m(found: Crossings) -> float:
     covariance = np.linalg.inv(information)
     spread = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
     return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max()))
+
+
+def _is_edge(found: SpotCandidates) -> BoolArray:
+    """(K,) candidates of one scan that lie right beside a nearer one: beams that its edge cuts in two.
+
+    Such a beam reads something between the ball and what is behind it, and does so before the ball is hit in full and
+    after it: it would take the ball's place as what comes first and leaves last.
+    """
+    first, end = found.first_beam, found.first_beam + found.n_hits
+    # A beam between the two may have given no range.
+    is_beside = (first[:, None] <= end + 1) & (first <= end[:, None] + 1)
+    is_farther = found.range_m[:, None] > found.range_m + EDGE_M
+    return np.asarray((is_beside & is_farther).any(axis=1))
 
 
 def _is_short(found: Crossings) -> BoolArray:

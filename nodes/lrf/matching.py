@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,11 +16,44 @@ from nodes.lrf_node import Acquired
 MAX_PERIODS = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class TimedSightings:
+    """M sightings by one LRF that have a time and no frame yet; columns as of `LrfSpots`, settings counted from 0."""
+
+    time_s: FloatArray
+    setting: IntArray
+    range_m: FloatArray
+    bearing_rad: FloatArray
+    sigma_range_m: FloatArray
+    sigma_bearing_rad: FloatArray
+    sigma_out_of_plane_m: FloatArray
+    bias_bound_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @classmethod
+    def of(cls, acquired: Acquired) -> TimedSightings:
+        """The crossings of an acquisition."""
+        parts = [setting.crossings for setting in acquired.settings]
+        columns = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__ if name != "setting"
+        }
+        return cls(setting=np.repeat(np.arange(len(parts)), [len(part) for part in parts]), **columns)
+
+
 def lrf_spots(acquired: Acquired, frames: IntArray, stamps_s: FloatArray, *, first_setting: int = 0) -> LrfSpots:
-    """The crossings with the number of the nearest frame, and their delay from it.
+    """The crossings of an acquisition as `with_frames` gives them."""
+    return with_frames(TimedSightings.of(acquired), frames, stamps_s, first_setting=first_setting)
+
+
+def with_frames(
+    sightings: TimedSightings, frames: IntArray, stamps_s: FloatArray, *, first_setting: int = 0
+) -> LrfSpots:
+    """The sightings with the number of the nearest frame, and their delay from it; those far from any are left out.
 
     Args:
-        acquired: of one LRF.
+        sightings: of one LRF.
         frames: (F,) numbers of the cameras' frames.
         stamps_s: (F,) their times on the clock of the LRF node, growing.
         first_setting: number of this LRF's first tilt among all LRFs' settings.
@@ -29,9 +63,7 @@ def lrf_spots(acquired: Acquired, frames: IntArray, stamps_s: FloatArray, *, fir
     """
     if len(frames) < 2 or (np.diff(stamps_s) <= 0).any():
         raise InputError(f"{len(frames)} camera frames with stamps, expected two or more that grow")
-    parts = [setting.crossings for setting in acquired.settings]
-    setting = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    time_s = np.concatenate([part.time_s for part in parts])
+    time_s = sightings.time_s
     after = np.clip(np.searchsorted(stamps_s, time_s), 1, len(stamps_s) - 1)
     nearest = np.where(time_s - stamps_s[after - 1] < stamps_s[after] - time_s, after - 1, after)
     delay_s = time_s - stamps_s[nearest]
@@ -43,14 +75,14 @@ def lrf_spots(acquired: Acquired, frames: IntArray, stamps_s: FloatArray, *, fir
         )
     found = LrfSpots(
         frame=frames[nearest],
-        setting=setting + first_setting,
-        range_m=np.concatenate([part.range_m for part in parts]),
-        bearing_rad=np.concatenate([part.bearing_rad for part in parts]),
+        setting=sightings.setting + first_setting,
+        range_m=sightings.range_m,
+        bearing_rad=sightings.bearing_rad,
         out_of_plane_m=np.zeros(len(time_s)),
-        sigma_range_m=np.concatenate([part.sigma_range_m for part in parts]),
-        sigma_bearing_rad=np.concatenate([part.sigma_bearing_rad for part in parts]),
-        sigma_out_of_plane_m=np.concatenate([part.sigma_out_of_plane_m for part in parts]),
-        bias_bound_m=np.concatenate([part.bias_bound_m for part in parts]),
+        sigma_range_m=sightings.sigma_range_m,
+        sigma_bearing_rad=sightings.sigma_bearing_rad,
+        sigma_out_of_plane_m=sightings.sigma_out_of_plane_m,
+        bias_bound_m=sightings.bias_bound_m,
         delay_s=np.where(is_near, delay_s, 0.0),
     )
     return found.select(is_near & _is_first(found))

@@ -1,17 +1,53 @@
-"""A recorder that writes what an LRF node's devices sent as lines of JSON, each on disk before the next comes."""
+"""Recorders of what an LRF node's devices sent: one that keeps nothing, one that writes lines of JSON, each at once."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TextIO
+from typing import Protocol, Self, TextIO
 
 from network_calib.errors import InputError
 from nodes.devices.mti import ImuSample
 from nodes.devices.scip import Scan
 
 SCANS, IMU, EVENTS = "scans.jsonl", "imu.jsonl", "events.jsonl"
+
+
+class Recorder(Protocol):
+    """Keeps what the devices sent."""
+
+    def scan(self, scan: Scan) -> None:
+        """A scan, as it came."""
+        ...
+
+    def imu(self, sample: ImuSample) -> None:
+        """A sample, as it came."""
+        ...
+
+    def tilt(self, now_s: float, tilt_rad: float, steps: int | None) -> None:
+        """The tilt unit arrived."""
+        ...
+
+    def event(self, now_s: float, text: str) -> None:
+        """Something happened: a phase, a loss, a return."""
+        ...
+
+
+class NullRecorder:
+    """Keeps nothing."""
+
+    def scan(self, scan: Scan) -> None:
+        """See `Recorder`."""
+
+    def imu(self, sample: ImuSample) -> None:
+        """See `Recorder`."""
+
+    def tilt(self, now_s: float, tilt_rad: float, steps: int | None) -> None:
+        """See `Recorder`."""
+
+    def event(self, now_s: float, text: str) -> None:
+        """See `Recorder`."""
 
 
 class JsonlRecorder:

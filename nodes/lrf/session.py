@@ -33,15 +33,15 @@ LRF_FILE, TILT_FILE = "lrf.csv", "tilts.csv"
 MAX_RANGE_M = 1000.0
 # A ball and a beam are centimetres wide; a larger number is another unit.
 MAX_BIAS_BOUND_M = 1.0
-_SPOT_NUMBERS = ("range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "sigma_out_of_plane_m")
+SPOT_NUMBERS = ("range_m", "bearing_rad", "sigma_range_m", "sigma_bearing_rad", "sigma_out_of_plane_m")
 _OPTIONAL_NUMBERS = ("out_of_plane_m", "bias_bound_m", "delay_s")
 _SPOTS = ColumnNames(
-    ("lrf", "frame", "setting", *_SPOT_NUMBERS),
-    ("lrf", "frame", "setting", *_SPOT_NUMBERS, *_OPTIONAL_NUMBERS),
-    f"expected lrf, frame, setting, {', '.join(_SPOT_NUMBERS)}, and optionally {', '.join(_OPTIONAL_NUMBERS)}",
+    ("lrf", "frame", "setting", *SPOT_NUMBERS),
+    ("lrf", "frame", "setting", *SPOT_NUMBERS, *_OPTIONAL_NUMBERS),
+    f"expected lrf, frame, setting, {', '.join(SPOT_NUMBERS)}, and optionally {', '.join(_OPTIONAL_NUMBERS)}",
 )
-_TILT_NAMES = ("lrf", "setting", "angle_deg", "sigma_deg")
-_TILTS = ColumnNames(_TILT_NAMES, _TILT_NAMES, f"expected {', '.join(_TILT_NAMES)}")
+TILT_NAMES = ("lrf", "setting", "angle_deg", "sigma_deg")
+_TILTS = ColumnNames(TILT_NAMES, TILT_NAMES, f"expected {', '.join(TILT_NAMES)}")
 
 Limits = dict[str, tuple[float, float, str]]
 _LIMITS: Limits = {
@@ -60,7 +60,7 @@ _MAY_BE_LOWEST = ("sigma_deg", "bias_bound_m", "delay_s")
 
 
 @dataclass(frozen=True, slots=True)
-class _Tilts:
+class TiltTable:
     """Rows of tilts.csv: LRF names in their order there, and the settings by name and number."""
 
     names: tuple[str, ...]
@@ -110,14 +110,14 @@ def read_lrf_session(folder: Path, config: RoomConfig | None = None) -> LrfSessi
     Raises:
         InputError: names file, line, column, value and what was expected.
     """
-    tilts = _read_tilts(folder / TILT_FILE)
+    tilts = read_tilts(folder / TILT_FILE)
     path = folder / LRF_FILE
     columns, lines = csv_columns(path, _SPOTS)
     frame = integers(path, "frame", columns["frame"], lines)
     refuse(path, "frame", columns["frame"], lines, frame < 0, "0 or more")
-    names = (*_SPOT_NUMBERS, *(name for name in _OPTIONAL_NUMBERS if name in columns))
+    names = (*SPOT_NUMBERS, *(name for name in _OPTIONAL_NUMBERS if name in columns))
     number = dict.fromkeys(_OPTIONAL_NUMBERS, np.zeros(len(frame)))
-    number |= {name: _numbers(path, name, columns[name], lines) for name in names}
+    number |= {name: table_numbers(path, name, columns[name], lines) for name in names}
     spots = LrfSpots(
         frame=frame,
         setting=_settings(path, columns, lines, tilts),
@@ -145,8 +145,8 @@ def write_lrf_session(session: LrfSession, folder: Path) -> None:
     name = np.array(session.names, dtype=object)[settings.scanner]
     label = _labels(settings.scanner)
     sigma_deg = np.degrees(np.sqrt(np.diag(settings.covariance_rad2)))
-    _write(folder / TILT_FILE, _TILT_NAMES, [name, label, np.degrees(settings.angle_rad), sigma_deg])
-    numbers = (*_SPOT_NUMBERS, *(name for name in _OPTIONAL_NUMBERS if getattr(spots, name).any()))
+    _write(folder / TILT_FILE, TILT_NAMES, [name, label, np.degrees(settings.angle_rad), sigma_deg])
+    numbers = (*SPOT_NUMBERS, *(name for name in _OPTIONAL_NUMBERS if getattr(spots, name).any()))
     columns = [name[spots.setting], spots.frame, label[spots.setting], *(getattr(spots, column) for column in numbers)]
     _write(folder / LRF_FILE, ("lrf", "frame", "setting", *numbers), columns)
 
@@ -186,7 +186,12 @@ def joint_digest(cameras_sha256: str, session: LrfSession) -> str:
     return sha.hexdigest()
 
 
-def _read_tilts(path: Path) -> _Tilts:
+def read_tilts(path: Path) -> TiltTable:
+    """Read a tilts.csv.
+
+    Raises:
+        InputError: names file, line, column, value and what was expected.
+    """
     columns, lines = csv_columns(path, _TILTS)
     label = integers(path, "setting", columns["setting"], lines)
     rows: dict[tuple[str, int], int] = {}
@@ -200,13 +205,13 @@ def _read_tilts(path: Path) -> _Tilts:
             )
         rows[name, number] = k
     names = tuple(dict.fromkeys(columns["lrf"]))
-    angle_deg = _numbers(path, "angle_deg", columns["angle_deg"], lines)
-    sigma_deg = _numbers(path, "sigma_deg", columns["sigma_deg"], lines)
+    angle_deg = table_numbers(path, "angle_deg", columns["angle_deg"], lines)
+    sigma_deg = table_numbers(path, "sigma_deg", columns["sigma_deg"], lines)
     scanner = np.array([names.index(name) for name in columns["lrf"]], dtype=np.int64)
-    return _Tilts(names, rows, TiltSettings(scanner, np.radians(angle_deg), np.diag(np.radians(sigma_deg) ** 2)))
+    return TiltTable(names, rows, TiltSettings(scanner, np.radians(angle_deg), np.diag(np.radians(sigma_deg) ** 2)))
 
 
-def _settings(path: Path, columns: dict[str, list[str]], lines: Sequence[int], tilts: _Tilts) -> IntArray:
+def _settings(path: Path, columns: dict[str, list[str]], lines: Sequence[int], tilts: TiltTable) -> IntArray:
     """(M,) row in tilts.csv of each sighting."""
     is_unknown = np.array([name not in tilts.names for name in columns["lrf"]])
     refuse(path, "lrf", columns["lrf"], lines, is_unknown, f"an LRF of {TILT_FILE}: {', '.join(tilts.names)}")
@@ -216,7 +221,7 @@ def _settings(path: Path, columns: dict[str, list[str]], lines: Sequence[int], t
     return row
 
 
-def _numbers(path: Path, name: str, texts: list[str], lines: Sequence[int]) -> FloatArray:
+def table_numbers(path: Path, name: str, texts: list[str], lines: Sequence[int]) -> FloatArray:
     """Numbers within the limits of their column; most lower limits are excluded."""
     low, high, expected = _LIMITS[name]
     values = floats(path, name, texts, lines)

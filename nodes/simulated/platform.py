@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from lrf_stereo.scanner import ScanSteps
 from lrf_stereo.synthetic import LrfScene, spots_on_plane
 from lrf_stereo.synthetic_scans import Capsule, ScannedRoom, ScanNoise
 from lrf_stereo.tilt import GRAVITY_M_S2
 from network_calib.observations import FloatArray, IntArray
-from nodes.simulated.tilt_unit_device import TiltUnitDevice
 
 N_PLACES = 64
 # A rod of 3 mm: thicker ones are seen by the scanner at two metres and taken for parts of the spot.
@@ -43,12 +44,24 @@ class Waving:
     moving_part: float = 0.15
 
 
+class Tilting(Protocol):
+    """What tilts scanner and IMU: a tilt unit, or a person."""
+
+    def tilt_rad(self, time_s: npt.ArrayLike) -> FloatArray:
+        """True tilt at times of any shape."""
+        ...
+
+    def rests_since_s(self, time_s: float) -> float:
+        """Since when it stands where it was asked to; infinite while it does not."""
+        ...
+
+
 class SimulatedPlatform:
     """The room as the instruments find it at any time.
 
     Args:
         scene: truth of cameras, scanner and walls; its spots are not used.
-        tilt_unit: whose tilt the scanner and the IMU follow.
+        tilting: what the scanner and the IMU follow.
         seed: of everything that is drawn; places and noise depend on it and on time alone.
         steps: of the scanner.
         noise: of the scanner.
@@ -58,27 +71,28 @@ class SimulatedPlatform:
     def __init__(
         self,
         scene: LrfScene,
-        tilt_unit: TiltUnitDevice,
+        tilting: Tilting,
         *,
         seed: int,
         steps: ScanSteps | None = None,
         noise: ScanNoise | None = None,
         waving: Waving | None = None,
     ) -> None:
-        self.scene, self._tilt_unit, self._seed = scene, tilt_unit, seed
+        self.scene, self._tilting, self._seed = scene, tilting, seed
         self._room = ScannedRoom.of(scene, rng=np.random.default_rng(seed), steps=steps, noise=noise)
         self._waving = waving or Waving()
         self._places = _Places(scene, seed)
-        self._down_in_world = -scene.room.world_from_room.rotation.apply(np.array([0.0, 0.0, 1.0]))
+        self._down_in_world = _down_in_world(scene)
+        self._imu = _ImuPose.of(0.0, scene)
 
     def tilt_rad(self, time_s: float) -> float:
         """True tilt."""
-        return float(self._tilt_unit.tilt_rad(time_s))
+        return float(self._tilting.tilt_rad(time_s))
 
     def spot_in_world(self, time_s: float) -> FloatArray | None:
         """(3,) centre of the spot; None while the person is away."""
         waving = self._waving
-        since_s = time_s - self._tilt_unit.rests_since_s(time_s) - waving.away_s
+        since_s = time_s - self._tilting.rests_since_s(time_s) - waving.away_s
         if not 0 <= since_s < math.inf:
             return None
         cycle, part = divmod(since_s / waving.period_s, 1.0)
@@ -111,11 +125,11 @@ class SimulatedPlatform:
 
     def motion(self, time_s: float) -> tuple[FloatArray, FloatArray]:
         """Rate of turn (3,) rad/s and specific force (3,) m/s2 in the IMU's axes, which are the LRF's."""
-        scanner, half_s = self.scene.scanner, 5e-4
-        before, after = self._tilt_unit.tilt_rad(np.array([time_s - half_s, time_s + half_s]))
-        imu_from_world = scanner.world_from_lrf_at(self.tilt_rad(time_s)).rotation.inv()
-        rate = imu_from_world.apply(scanner.axis_direction_in_world) * float(after - before) / (2 * half_s)
-        return rate, imu_from_world.apply(-GRAVITY_M_S2 * self._down_in_world)
+        half_s = 5e-4
+        before, after = self._tilting.tilt_rad(np.array([time_s - half_s, time_s + half_s]))
+        self._imu = self._imu.at(self.tilt_rad(time_s), self.scene)
+        imu = self._imu
+        return imu.axis_in_imu * float(after - before) / (2 * half_s), -GRAVITY_M_S2 * imu.down_in_imu
 
     def detections_px(self, time_s: float, *, sigma_px: float = 0.3) -> FloatArray:
         """(C, 2) where the cameras see the spot; NaN where one does not."""
@@ -130,6 +144,28 @@ class SimulatedPlatform:
     def _rng(self, time_s: float) -> np.random.Generator:
         """Noise that depends on the seed and the time alone, whoever asks first."""
         return np.random.default_rng([self._seed, round(time_s * 1e6) & (1 << 62) - 1])
+
+
+def _down_in_world(scene: LrfScene) -> FloatArray:
+    return -scene.room.world_from_room.rotation.apply(np.array([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True, slots=True)
+class _ImuPose:
+    """The tilt axis and the vertical in the IMU's axes; asked for at every sample, and the same while it rests."""
+
+    tilt_rad: float
+    axis_in_imu: FloatArray
+    down_in_imu: FloatArray
+
+    @classmethod
+    def of(cls, tilt_rad: float, scene: LrfScene) -> _ImuPose:
+        imu_from_world = scene.scanner.world_from_lrf_at(tilt_rad).rotation.inv()
+        axis = imu_from_world.apply(scene.scanner.axis_direction_in_world)
+        return cls(tilt_rad, axis, imu_from_world.apply(_down_in_world(scene)))
+
+    def at(self, tilt_rad: float, scene: LrfScene) -> _ImuPose:
+        return self if tilt_rad == self.tilt_rad else self.of(tilt_rad, scene)
 
 
 @dataclass(slots=True)

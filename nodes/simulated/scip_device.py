@@ -16,15 +16,20 @@ from network_calib.observations import IntArray
 from nodes.devices.scip_frames import STAMP_MODULUS_MS, encode_blocks, encode_number, encode_numbers, line_sum
 from nodes.simulated.scip_model import URG_04LX, ScipModel
 
+SCANS, NEWER_SCANS = ("MD", "MS", "GD", "GS"), ("ME", "GE", "ND", "NE", "HD", "HE")
 MAX_COMMAND_BYTES, MAX_STRING = 64, 16
 NOT_MEASURABLE, FIRST_RANGE_MM = 19, 20
+# Where the next beam sees so much further, part of this one's light does too.
+EDGE_MM = 100
+# Speeds that SCIP has a number for; a model need not have them all.
+SCIP_SPEEDS = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
 # Readings (B,) of the model's measurable steps in mm or error codes, of the turn that begins at a time.
 ScanAt = Callable[[float], IntArray]
 
 
 @dataclass(frozen=True, slots=True)
 class _Stream:
-    """A running MD, MS or ME.
+    """A running MD, MS, ME, ND or NE.
 
     Attributes:
         request: as it was sent, without its count.
@@ -46,6 +51,9 @@ class ScipDevice:
         scan_at: the room as the scanner sees it.
         model: which scanner.
         laser_faults_at_s: times at which the laser fails: status 50 is sent and the stream ends.
+
+    Attributes:
+        speed: of its RS-232 side, baud, as last set; a pty and TCP have none, so that it changes nothing else.
     """
 
     def __init__(
@@ -55,6 +63,7 @@ class ScipDevice:
         self._laser_faults_at_s = sorted(laser_faults_at_s)
         self._is_scip1 = model.wakes_in_scip1
         self._is_laser_on = self._is_timing = False
+        self.speed = self._first_speed()
         self._stream: _Stream | None = None
         self._begin_s = 0.0
         self._heard = ""
@@ -67,6 +76,7 @@ class ScipDevice:
         """Power on."""
         self._is_scip1 = self._model.wakes_in_scip1
         self._is_laser_on = self._is_timing = False
+        self.speed = self._first_speed()
         self._stream, self._begin_s, self._line_free_s = None, now_s, now_s
         self._heard, self._commands, self._next_tick_s = "", [], math.inf
         self._out.clear()
@@ -156,11 +166,11 @@ class ScipDevice:
         readings = np.full(model.steps.steps_per_turn, NOT_MEASURABLE)
         readings[model.steps.first_step : model.steps.last_step + 1] = self._scan_at(begin_s)
         asked = _clustered(readings[int(request[2:6]) : int(request[6:10]) + 1], int(request[10:12]))
-        if request[1] == "E":
-            strength = np.where(asked >= FIRST_RANGE_MM, 4000 - np.minimum(asked // 10, 3000), 0)
-            asked = np.stack([asked, strength], axis=1).ravel()
         width = 2 if request[1] == "S" else 3
-        data = encode_numbers(asked, width)
+        beams = np.stack([asked, _strength(asked)], axis=1) if request[1] == "E" else asked[:, None]
+        data = encode_numbers(beams.ravel(), width)
+        if request[0] in "NH":
+            data = _with_second_echoes(data, beams, width)
         stamp = encode_number(self.sensor_ms(begin_s), 4)
         return f"{_summed(stamp)}\n{encode_blocks(data)}"
 
@@ -183,9 +193,11 @@ class ScipDevice:
             self._switch(command, body, now_s)
         elif body in ("TM0", "TM1", "TM2"):
             self._time(command, body, now_s)
-        elif body[:2] in ("MD", "MS", "GD", "GS") or (body[:2] in ("ME", "GE") and self._model.has_intensity):
+        elif body[:2] in SCANS or (body[:2] in NEWER_SCANS and self._model.has_intensity):
             self._measure(command, body, string, now_s)
-        elif body[:2] in ("SS", "CR", "HS"):
+        elif body[:2] == "SS":
+            self._set_speed(command, body[2:], now_s)
+        elif body[:2] in ("CR", "HS"):
             self._answer(command, "03", now_s)
         else:
             self._answer(command, "0E", now_s)
@@ -206,7 +218,22 @@ class ScipDevice:
             self._stream = None
         self._is_laser_on = name == "BM"
         if name == "RS":
-            self._is_timing = False
+            self._is_timing, self.speed = False, self._first_speed()
+        self._answer(command, status, now_s)
+
+    def _first_speed(self) -> int:
+        return self._model.speeds[0] if self._model.speeds else 0
+
+    def _set_speed(self, command: str, text: str, now_s: float) -> None:
+        if len(text) != 6 or not (text.isascii() and text.isdigit()):
+            status = "01"
+        elif not self._model.speeds or (int(text) in SCIP_SPEEDS and int(text) not in self._model.speeds):
+            status = "04"
+        elif int(text) not in SCIP_SPEEDS:
+            status = "02"
+        else:
+            status = "03" if int(text) == self.speed else "00"
+            self.speed = int(text)
         self._answer(command, status, now_s)
 
     def _time(self, command: str, name: str, now_s: float) -> None:
@@ -223,7 +250,7 @@ class ScipDevice:
         self._answer(command, status, now_s)
 
     def _measure(self, command: str, body: str, string: str, now_s: float) -> None:
-        is_stream = body[0] == "M"
+        is_stream = body[0] in "MN"
         if len(body) != (15 if is_stream else 12) or not body[2:].isdigit():
             self._answer(command, "0C", now_s)
             return
@@ -245,12 +272,14 @@ class ScipDevice:
             self._post(f"{command}\n{_summed('00')}\n{self._scan_text(body, max(turn, 0))}\n", now_s)
 
     def _state(self, now_s: float) -> tuple[str, ...]:
+        by_default = "<-Default setting by user" if self.speed == self._first_speed() else ""
+        speed = (f"SBPS:{self.speed}[bps]{by_default}",) if self.speed else ()
         return (
             f"MODL:{self._model.name}",
             f"LASR:{'ON' if self._is_laser_on else 'OFF'}",
             f"SCSP:Initial({round(60 / self._model.steps.turn_s)}[rpm])<-Default setting by user",
             f"MESM:{'MEASURING' if self._stream else 'IDLE'}",
-            "SBPS:19200[bps]<-Default setting by user",
+            *speed,
             f"TIME:{self.sensor_ms(now_s):06X}",
             "STAT:Sensor works well.",
         )
@@ -267,6 +296,23 @@ class ScipDevice:
 
 def _summed(text: str) -> str:
     return text + line_sum(text)
+
+
+def _strength(readings: IntArray) -> IntArray:
+    """(B,) of echoes: the nearer the stronger."""
+    return np.where(readings >= FIRST_RANGE_MM, 4000 - np.minimum(readings // 10, 3000), 0)
+
+
+def _with_second_echoes(data: str, beams: IntArray, width: int) -> str:
+    """The numbers (B, 1 or 2) of beams, a '&' and those of the next beam after each that stands at an edge."""
+    n_characters = width * beams.shape[1]
+    parts = [data[begin : begin + n_characters] for begin in range(0, len(data), n_characters)]
+    near = beams[:-1, 0]
+    is_edge = (near >= FIRST_RANGE_MM) & (beams[1:, 0] > near + EDGE_MM)
+    return "".join(
+        f"{part}&{behind}" if k < len(is_edge) and is_edge[k] else part
+        for k, (part, behind) in enumerate(zip(parts, [*parts[1:], ""], strict=True))
+    )
 
 
 def _clustered(readings: IntArray, cluster: int) -> IntArray:

@@ -16,10 +16,12 @@ class ScipModel:
         name: of PP.
         steps: its steps.
         wakes_in_scip1: answers SCIP 1 until it is told `SCIP2.0`.
-        has_intensity: knows ME and GE.
+        has_intensity: knows ME and GE, and with several echoes a beam ND, NE, HD and HE.
         reply_tick_s: commands are answered at multiples of this; the scan tick on the URG-04LX.
         clock_gain: sensor seconds per second.
         bytes_per_s: of its line.
+        speeds: of its RS-232 side, in baud, that SS takes; the first is the one it wakes up with. None: it has no such
+            side.
     """
 
     version: tuple[str, ...]
@@ -30,6 +32,7 @@ class ScipModel:
     reply_tick_s: float
     clock_gain: float
     bytes_per_s: float
+    speeds: tuple[int, ...]
 
     def parameters(self) -> tuple[str, ...]:
         """Lines of PP."""
@@ -61,6 +64,7 @@ URG_04LX = ScipModel(
     reply_tick_s=0.1,
     clock_gain=1 + 1300e-6,
     bytes_per_s=1e6,
+    speeds=(19200, 57600, 115200, 250000, 500000, 750000),
 )
 UST_10LX = ScipModel(
     version=(
@@ -85,4 +89,5 @@ UST_10LX = ScipModel(
     reply_tick_s=0.005,
     clock_gain=1 + 50e-6,
     bytes_per_s=1e7,
+    speeds=(),
 )

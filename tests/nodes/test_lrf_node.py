@@ -10,7 +10,8 @@ from network_calib.errors import InputError
 from nodes.devices.errors import LineLostError
 from nodes.devices.tilt_unit import TiltUnit
 from nodes.lrf.acquisition import Acquisition, AcquisitionOptions, Phase, _is_short, plane_sigma_m
-from nodes.lrf_node import LrfDevices, LrfNode, NullRecorder
+from nodes.lrf.recorder import NullRecorder
+from nodes.lrf_node import LrfDevices, LrfNode
 from nodes.simulated.line_faults import LineFaults
 from tests.nodes.emulated_platform import emulated
 

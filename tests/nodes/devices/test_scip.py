@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from network_calib.errors import SpotcalError
+from network_calib.errors import InputError, SpotcalError
 from nodes.devices.errors import DeviceError, LineLostError
 from nodes.devices.scip import Scip
-from nodes.devices.scip_frames import ReplyParser, decode_scan
+from nodes.devices.scip_frames import ReplyParser, decode_scan, encode_number
+from nodes.devices.scip_modes import ScanMode
+from nodes.simulated.late_line import LateEmulator
 from nodes.simulated.line_faults import LineFaults
 from nodes.simulated.loopback import LoopbackTransport, VirtualClock
 from nodes.simulated.scip_device import ScipDevice
@@ -68,27 +70,64 @@ def test_every_scan_comes_once_with_the_time_of_its_step_0(model):
     assert scanner.counts.missed == scanner.counts.refused == 0
 
 
-def test_stamps_hold_under_host_jitter_and_drift():
-    rng, errors, clock = np.random.default_rng(3), [], VirtualClock()
+def even(rng):
+    return rng.uniform(0, 0.1)
 
-    class Jittery:
-        """The machine's clock as seen by a program that is woken late."""
 
-        def __call__(self):
-            return clock() + rng.exponential(0.02)
+def falling(rng):
+    return min(rng.exponential(0.02), 0.1)
 
-    for _ in range(12):
-        clock.now_s = 0.0
-        device = ScipDevice(room())
-        scanner = Scip(LoopbackTransport(device, clock), clock=clock)
+
+def stamp_errors(delay, *, duration_s, n_runs, model=URG_04LX, **options):
+    """(n_runs, 2) error and stated sigma of the last scan's stamp so long after the start, s."""
+    out = []
+    for seed in range(n_runs):
+        rng, clock = np.random.default_rng(seed), VirtualClock()
+        device = ScipDevice(room(model), model=model)
+        late = LateEmulator(device, lambda: delay(rng))  # noqa: B023
+        scanner = Scip(LoopbackTransport(late, clock), clock=clock, **options)
         scanner.start()
-        scanner._clock = Jittery()
-        scans = collect(scanner, clock, 12.0)
-        errors += [scan.stamp_s - device.turn_begin_s(scan.readings_mm[0] - 1000) for scan in scans[100:]]
-    # 2.2 ms is the time of a scan on the line, which nobody can know but by its constancy.
-    assert np.sqrt(np.mean((np.array(errors) - 2.2e-3) ** 2)) < 1e-3
-    # Stamping by arrival would be wrong by 20 ms in the mean.
-    assert abs(np.mean(errors)) < 5e-3
+        scan = collect(scanner, clock, duration_s)[-1]
+        out.append((scan.stamp_s - device.turn_begin_s(scan.readings_mm[0] - 1000), scan.sigma_s))
+    return np.array(out).T
+
+
+@pytest.mark.parametrize("delay", [even, falling])
+def test_stamps_hold_after_ten_seconds_of_late_arrivals_and_drift(delay):
+    error, sigma = stamp_errors(delay, duration_s=12.0, n_runs=14)
+    # 1 ms is wanted; an RMS of 14 runs is known to 19 % and more where it is not Gaussian: two of 25 %.
+    assert np.sqrt(np.mean(error**2)) < 1.5e-3
+    assert 0.5 < np.sqrt(np.mean(error**2) / np.mean(sigma**2)) < 1.5
+
+
+def test_stamps_hold_from_the_first_second_on():
+    error, sigma = stamp_errors(even, duration_s=1.0, n_runs=14)
+    # The sensor's clock is known to about a millisecond when it is asked, a second and a half before; a drift of 1300
+    # ppm makes 2 ms of that. Arrivals alone are wrong by 10 ms here.
+    assert np.sqrt(np.mean(error**2)) < 1.5 * np.hypot(1e-3, 2.5 * 1.3e-3)
+    assert 0.5 < np.sqrt(np.mean(error**2) / np.mean(sigma**2)) < 1.5
+
+
+def test_without_lateness_no_scan_is_given_up_for_the_clock():
+    scanner, _, clock = connected()
+    collect(scanner, clock, 30.0)
+    assert scanner.counts.resyncs == scanner.counts.missed == 0
+
+
+def test_a_scanner_that_does_not_tell_its_time_is_stamped_by_arrivals():
+    class Timeless(ScipDevice):
+        def _time(self, command: str, name: str, now_s: float) -> None:
+            del name
+            self._answer(command, "0E", now_s)
+
+    clock = VirtualClock()
+    device = Timeless(room())
+    scanner = Scip(LoopbackTransport(device, clock), clock=clock)
+    scanner.start()
+    scan = collect(scanner, clock, 10.0)[-1]
+    error = scan.stamp_s - device.turn_begin_s(scan.readings_mm[0] - 1000)
+    assert scan.sigma_s > 10e-3  # the latency is not known
+    assert abs(error) < scan.sigma_s
 
 
 def test_stamp_wraps_without_a_gap():
@@ -185,12 +224,125 @@ def test_what_is_no_scanner_is_said():
         Scip(LoopbackTransport(Odd(room()), clock), clock=clock).start()
 
 
-def test_intensity_of_the_newer_model():
-    scanner, _, clock = connected(UST_10LX, with_intensity=True)
-    scan = collect(scanner, clock, 1.0)[0]
-    assert scan.intensity is not None
-    assert scan.intensity.shape == scan.readings_mm.shape == (1081,)
-    assert (scan.intensity == 4000 - scan.readings_mm // 10).all()
+NEWER = [ScanMode.DISTANCES, ScanMode.INTENSITY, ScanMode.ECHOES, ScanMode.ECHOES_INTENSITY]
+
+
+def edges(begin_s):
+    """A near post before a far wall."""
+    del begin_s
+    readings = np.full(UST_10LX.steps.n_measured, 9000)
+    readings[300:320] = 2000
+    return readings
+
+
+@pytest.mark.parametrize("mode", NEWER)
+@pytest.mark.parametrize("is_stream", [True, False])
+def test_all_modes_of_the_newer_model_give_the_first_echo(mode, is_stream):
+    clock = VirtualClock()
+    scanner = Scip(LoopbackTransport(ScipDevice(edges, model=UST_10LX), clock), clock=clock, mode=mode)
+    scanner.start()
+    scan = collect(scanner, clock, 0.5)[-1] if is_stream else scanner.scan_once()
+    assert (scan.readings_mm == edges(0.0)).all()
+    assert scanner.counts.refused == 0
+    if mode.has_intensity:
+        assert scan.intensity is not None
+        assert (scan.intensity == 4000 - scan.readings_mm // 10).all()
+    else:
+        assert scan.intensity is None
+
+
+def test_the_emulated_post_has_two_echoes_at_its_far_edge_only():
+    device = ScipDevice(edges, model=UST_10LX)
+    device.connect(0.0)
+    ask(device, "BM\n", 1.0)
+    reply = ReplyParser().feed(ask(device, "HD0318032100\n", 2.0).encode())[0]
+    near, far = encode_number(2000, 3), encode_number(9000, 3)
+    # Beams 318 and 319 are on the post, 319 beside the wall.
+    assert "".join(reply.lines[1:]) == f"{near}{near}&{far}{far}{far}"
+
+
+@pytest.mark.parametrize("mode", [ScanMode.DISTANCES, ScanMode.SHORT_DISTANCES])
+def test_single_scans_of_the_older_model_and_a_stream_after_them(mode):
+    clock = VirtualClock()
+    device = ScipDevice(room())
+    scanner = Scip(LoopbackTransport(device, clock), clock=clock, mode=mode)
+    scanner.identify()
+    scans = [scanner.scan_once() for _ in range(20)]
+    turns = np.array([scan.readings_mm[0] for scan in scans]) - 1000
+    assert (np.diff(turns) >= 1).all()
+    assert np.diff([scan.sequence for scan in scans]).tolist() == np.diff(turns).tolist()
+    error = np.array([scan.stamp_s - device.turn_begin_s(turn) for scan, turn in zip(scans, turns, strict=True)])
+    # 2 ms of the clock's own bounds, and 2000 ppm of the four seconds that this takes.
+    assert np.abs(error).max() < 2e-3 + 8e-3
+    scanner.start()
+    assert len(collect(scanner, clock, 2.0)) >= 18
+    assert scanner.scan_once().readings_mm.shape == (682,)
+    assert collect(scanner, clock, 2.0) == []  # the stream is not asked for by itself
+
+
+def test_an_older_model_refuses_echoes_in_words():
+    clock = VirtualClock()
+    scanner = Scip(LoopbackTransport(ScipDevice(room()), clock), clock=clock, mode=ScanMode.ECHOES)
+    with pytest.raises(DeviceError, match="ND0044072500000, status 0E: it does not know the command"):
+        scanner.start()
+    with pytest.raises(DeviceError, match="no scan, status 0E: it does not know the command"):
+        scanner.scan_once()
+
+
+class Wired(LoopbackTransport):
+    """A line that remembers its speed."""
+
+    baud = 19200
+
+    def set_baud(self, baud):
+        self.baud = baud
+
+
+def test_speed_of_the_serial_line_is_set_and_refusals_are_told_in_words():
+    clock, device = VirtualClock(), ScipDevice(room())
+    line = Wired(device, clock)
+    scanner = Scip(line, clock=clock)
+    assert scanner.identify().line_speed == "19200[bps]<-Default setting by user"
+    scanner.set_speed(115200)
+    assert device.speed == line.baud == 115200
+    assert scanner.identify().line_speed == "115200[bps]"
+    scanner.set_speed(115200)  # it has it already: no error
+    with pytest.raises(DeviceError, match="refuses 38400 baud, status 04: this model does not have this speed"):
+        scanner.set_speed(38400)
+    with pytest.raises(DeviceError, match="refuses 12345 baud, status 02: it knows no such speed"):
+        scanner.set_speed(12345)
+    with pytest.raises(InputError, match="speed of 1000000 baud"):
+        scanner.set_speed(1_000_000)
+    assert device.speed == line.baud == 115200
+    scanner.start()
+    assert len(collect(scanner, clock, 2.0)) >= 18
+
+
+def test_emulated_speeds():
+    device = ScipDevice(room())
+    device.connect(0.0)
+    ask(device, "SCIP2.0\n", 0.0)
+    # 019200 is what it has; texts without six digits are no number.
+    told = {"019200": "03S", "250000": "00P", "9600": "01Q", "00960x": "01Q", "009600": "02R", "038400": "04T"}
+    for k, (text, status) in enumerate(told.items()):
+        assert ask(device, f"SS{text}\n", 1.0 + k) == f"SS{text}\n{status}\n\n"
+    assert device.speed == 250000
+    ask(device, "RS\n", 20.0)
+    assert device.speed == 19200
+
+
+def test_a_status_with_its_eighth_bit_flipped_is_a_damaged_scan_and_no_fault():
+    class Flipping(ScipDevice):
+        def _post(self, text: str, ready_s: float) -> None:
+            # The sum counts six bits of a character; 0xB9 is a digit to those who ask Python.
+            super()._post(text.replace("\n99b\n", "\n\xb99b\n"), ready_s)
+
+    clock = VirtualClock()
+    scanner = Scip(LoopbackTransport(Flipping(room()), clock), clock=clock)
+    scanner.start()
+    assert scanner.read(0.2) == []
+    assert scanner.counts.refused > 0
+    assert scanner.counts.laser_faults == 0
 
 
 def test_sensor_clock_is_asked_for():

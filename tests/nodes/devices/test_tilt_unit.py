@@ -175,3 +175,9 @@ def test_any_commands_leave_the_emulator_alive(data):
     device.send(1e6)
     device.receive(b" FT ", 2e6)
     assert device.send(3e6).endswith(b"*\r\n")
+
+
+def test_an_answer_that_came_while_other_devices_took_all_the_time_counts():
+    unit, _, clock = started()
+    naps = iter([60.0])
+    assert unit.go_to(math.radians(12.1), meanwhile=lambda: clock.sleep(next(naps, 0.0))) == -235

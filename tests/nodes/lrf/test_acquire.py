@@ -2,13 +2,15 @@
 
 import csv
 import json
+import os
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from network_calib.errors import InputError
-from nodes.lrf.acquire import AcquirePlan, acquire, parse_tilts, write_tables
+from nodes.lrf.acquire import AcquirePlan, _is_enter_pressed, acquire, parse_tilts
+from nodes.lrf.acquired_tables import write_acquired
 from nodes.lrf.acquisition import AcquisitionOptions
 from nodes.lrf.monitor import MonitorAddresses
 from nodes.lrf.recorder import JsonlRecorder
@@ -28,7 +30,7 @@ def recorded(tmp_path_factory):
     with JsonlRecorder(folder) as recorder:
         node = LrfNode(platform.devices, options, recorder=recorder, clock=platform.clock, sleep=platform.clock.sleep)
         acquired = node.run()
-    write_tables(AcquirePlan("L7", (12.1,), 2, folder), acquired)
+    write_acquired(folder, "L7", acquired)
     return folder, acquired
 
 
@@ -76,3 +78,14 @@ def test_without_anything_that_tells_the_tilt_nothing_is_begun(tmp_path):
     with pytest.raises(InputError, match="nothing would tell the tilt angles"):
         acquire(MonitorAddresses("/dev/none"), plan, console=Console(quiet=True))
     assert not (tmp_path / "out").exists()
+
+
+def test_enter_is_heard_once_and_not_waited_for(monkeypatch):
+    read_fd, write_fd = os.pipe()
+    with os.fdopen(read_fd) as reader, os.fdopen(write_fd, "w") as writer:
+        monkeypatch.setattr("sys.stdin", reader)
+        assert not _is_enter_pressed()
+        writer.write("\n")
+        writer.flush()
+        assert _is_enter_pressed()
+        assert not _is_enter_pressed()
