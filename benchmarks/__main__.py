@@ -23,10 +23,14 @@ NAMES = (
     "lrf_accuracy",
     "lrf_projection",
     "lrf_instruments",
+    "lrf_acquisition",
+    "hand_tilt",
     "spot_detector",
     "spot_profile",
     "detect_end_to_end",
     "rtsp_4k",
+    "bus_latency",
+    "bus_load",
     "startup",
 )
 

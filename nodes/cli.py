@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from network_calib.errors import SpotcalError
-from nodes.commands import instruments, sources
+from nodes.commands import bus, coordinator, instruments, recording, site, sources
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +30,9 @@ app = typer.Typer(
 app.command()(sources.detect)
 
 Source = Annotated[Path, typer.Argument(help="A .csv or .npz table of spots, or a MultiCamSelfCal folder.")]
+SessionSource = Annotated[
+    Path, typer.Argument(help="A .csv or .npz table of spots, a MultiCamSelfCal folder, or a recorded session.")
+]
 CalibrationFile = Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.json.")]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="room.toml: cameras, anchor, options.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Of all random numbers; the same seed, the same result.")]
@@ -54,7 +57,7 @@ def main() -> None:
 
 @app.command()
 def calibrate(
-    source: Source,
+    source: SessionSource,
     config: ConfigFile = None,
     out: Annotated[Path, typer.Option("--out", help="Result file.")] = Path("calibration.json"),
     seed: Seed = 0,
@@ -69,36 +72,66 @@ def calibrate(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate cameras from spot observations, and the LRFs of a session folder with lrf.csv."""
+    """Calibrate cameras from spot observations, and the LRFs of a session."""
     from network_calib.formats.calibration_json import save
-    from nodes.config import resolve
-    from nodes.lrf.session import read_lrfs_beside, require_lrfs
-    from nodes.report.terminal import print_notes
-    from nodes.solve import check_writable, solve, solve_lrfs
+    from nodes.session_solve import is_session
+    from nodes.solve import check_writable
 
     check_writable(out)
     console = _stderr(quiet=quiet)
-    room = _room(source, config, console)
-    recording = _read(source, room)
-    lrfs = read_lrfs_beside(source, recording, room)
-    if cameras is not None:
-        _refuse_camera_options(start=start, fix_intrinsics=fix_intrinsics)
-        calibration = solve_lrfs(cameras, recording, require_lrfs(lrfs, source), rejection=_rejection(room), seed=seed)
+    if is_session(source):
+        if cameras is not None or start is not None or fix_intrinsics:
+            _refuse_for_session(source)
+        from nodes.config import load_room
+        from nodes.session_solve import solve_session
+
+        room = None if config is None else load_room(config)
+        calibration = solve_session(source, seed=seed, console=console, room=room)
     else:
-        resolved = resolve(recording, room, fix_intrinsics=fix_intrinsics, start=start)
-        print_notes(console, resolved.notes)
-        calibration = solve(
-            resolved,
-            seed=seed,
-            input_name=recording.name,
-            input_sha256=recording.sha256,
-            console=console,
-            lrfs=lrfs,
+        calibration = _calibrate_tables(
+            source, config, cameras=cameras, seed=seed, start=start, fix_intrinsics=fix_intrinsics, console=console
         )
     save(calibration, out)
     if not quiet:
         _print_calibration(calibration)
         console.print(f"Written to {out}", markup=False, soft_wrap=True)
+
+
+def _refuse_for_session(source: Path) -> None:
+    from network_calib.errors import InputError
+
+    raise InputError(
+        f"{source} is a recorded session: --cameras, --start and --fix-intrinsics are not for it",
+        advice="Give a room.toml by --config in place of the site's configuration in the recording.",
+    )
+
+
+def _calibrate_tables(
+    source: Path,
+    config: Path | None,
+    *,
+    cameras: Path | None,
+    seed: int,
+    start: str | None,
+    fix_intrinsics: bool,
+    console: Console,
+) -> Calibration:
+    from nodes.config import resolve
+    from nodes.lrf.session import read_lrfs_beside, require_lrfs
+    from nodes.report.terminal import print_notes
+    from nodes.solve import solve, solve_lrfs
+
+    room = _room(source, config, console)
+    recording = _read(source, room)
+    lrfs = read_lrfs_beside(source, recording, room)
+    if cameras is not None:
+        _refuse_camera_options(start=start, fix_intrinsics=fix_intrinsics)
+        return solve_lrfs(cameras, recording, require_lrfs(lrfs, source), rejection=_rejection(room), seed=seed)
+    resolved = resolve(recording, room, fix_intrinsics=fix_intrinsics, start=start)
+    print_notes(console, resolved.notes)
+    return solve(
+        resolved, seed=seed, input_name=recording.name, input_sha256=recording.sha256, console=console, lrfs=lrfs
+    )
 
 
 @app.command()
@@ -153,7 +186,14 @@ app.command()(sources.spot)
 app.command()(sources.cameras)
 app.command()(instruments.devices)
 app.command()(instruments.emulate)
+app.command()(bus.router)
 app.add_typer(instruments.lrf, name="lrf")
+app.command()(site.camera)
+app.command()(site.init)
+app.command()(coordinator.coordinator)
+app.command()(recording.record)
+app.command()(recording.replay)
+app.command()(recording.info)
 
 
 @app.command()
@@ -192,15 +232,15 @@ def simulate(  # noqa: PLR0913, PLR0917 — every option of a command is an argu
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the result and the pictures.")] = Path("demo-out"),
+    out: Annotated[Path, typer.Option("--out", help="Folder of everything that is left.")] = Path("demo-out"),
     seed: Seed = 0,
 ) -> None:
-    """Simulate a room, calibrate it, compare with the truth, draw pictures."""
+    """Run a whole simulated smart room as separate processes, calibrate it, and compare with the truth."""
     from rich.console import Console
 
     from nodes.demo import run_demo
 
-    if not run_demo(out, seed=seed, console=Console(), progress_console=_stderr()):
+    if not run_demo(out, seed=seed, console=Console()):
         sys.exit(EXIT_UNEXPECTED_RESULT)
 
 

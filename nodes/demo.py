@@ -1,179 +1,170 @@
-"""The demonstration: a smart room with known truth, calibrated from bad detections, compared and drawn."""
+"""The demonstration: a whole simulated smart room as separate processes, calibrated and compared with its truth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from network_calib.cameras import Cameras
-from network_calib.evaluate import evaluate
-from network_calib.formats.aniposelib import write_aniposelib
-from network_calib.formats.calibration_json import save
-from network_calib.formats.recording import digest
-from network_calib.observations import BoolArray, FloatArray
-from network_calib.result import PARAMETER_NAMES, Calibration
-from network_calib.room_setup import CameraSetup, KnownDistance, Options
-from network_calib.spots import SpotViews, locate
-from network_calib.synthetic import CameraErrors, Room, Sighting, compare, observe, room
-from nodes.camera.pictures import draw_errors, draw_residuals
-from nodes.config import Resolved
-from nodes.report.network_picture import draw_network
-from nodes.report.show import calibration_view
-from nodes.report.tables import plain_table
-from nodes.simulation.spots_simulation import write_simulation
-from nodes.solve import solve
+from network_calib.errors import SpotcalError
+from network_calib.formats.calibration_json import load
+from network_calib.result import Calibration
+from nodes.demo_files import SESSION, DemoFiles, write_demo
+from nodes.demo_person import DemoPerson
+from nodes.demo_processes import Child, Children
+from nodes.demo_truth import compare_cameras, compare_lrf, lrf_truth_table, truth_table, verdict_of
+from nodes.devices.errors import DeviceError
+from nodes.simulated.smart_room import DEFAULT_RATE_HZ, read_world
+from nodes.simulated.smart_room_events import EventFile, Move, Rest
+from nodes.simulated.smart_room_geometry import SmartRoom
+from nodes.site.until_signal import until_signal
 
-ROOM_NAME = "smart_room"
-N_FRAMES, NOISE_PX, MISSING, FALSE = 1500, 0.2, 0.3, 0.1
-# A vector error of this many of its own standard deviations: chance under one in 10^5 for a centre (3 dof). Beyond it
-# the predicted sigma is wrong, not the luck bad.
-MAX_SIGMA = 5.0
-# m or px: what a few products of numbers up to 1e3 leave of a value that is exact by definition.
-ROUNDING = 1e-9
+TICK_S = 0.2
+ROUTER_S, PORTS_S, SESSION_S = 30.0, 30.0, 480.0
+SPOTCAL = (sys.executable, "-c", "from nodes.cli import main; main()")
+INSTRUMENTS = (sys.executable, "-m", "nodes.simulated.smart_room_lrf")
+PORTS = ("urg", "ptu", "mti")
+
+_Say = Callable[[str], None]
+_Condition = Callable[[], bool]
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """The estimate against the truth, in the first camera's frame, where the covariances are stated.
-
-    Attributes:
-        errors: differences of each camera.
-        centre_sigma_m: (C,) predicted, root of the sum over the axes.
-        focal_sigma_px: (C,) predicted.
-        mask_share: share of the detections that were rightly taken as spot or as false.
-    """
-
-    errors: CameraErrors
-    centre_sigma_m: FloatArray
-    focal_sigma_px: FloatArray
-    mask_share: float
-
-    @property
-    def centre_in_sigma(self) -> FloatArray:
-        """(C,) error over sigma; 0 for the camera that holds the frame."""
-        return _ratio(self.errors.centre_m, self.centre_sigma_m)
-
-    @property
-    def focal_in_sigma(self) -> FloatArray:
-        """(C,) error over sigma."""
-        return _ratio(np.abs(self.errors.focal_px), self.focal_sigma_px)
-
-    @property
-    def is_as_predicted(self) -> bool:
-        """No error exceeds MAX_SIGMA."""
-        return bool(max(self.centre_in_sigma.max(), self.focal_in_sigma.max()) <= MAX_SIGMA)
+class InterruptedDemoError(SpotcalError):
+    """The user asked the demonstration to end."""
 
 
-def run_demo(out: Path, *, seed: int, console: Console, progress_console: Console) -> bool:
-    """Simulate, calibrate, compare, write and draw into a folder.
+def run_demo(out: Path, *, seed: int, console: Console) -> bool:
+    """Start the room's programs, play the person, compare the result with the truth.
+
+    Args:
+        out: folder of everything that is left.
+        seed: of the room and all noise.
+        console: told what goes on; the coordinator's lines pass through.
 
     Returns:
-        Whether every error is as large as its sigma allows.
+        Whether everything was reached.
+
+    Raises:
+        SpotcalError: a program ended, or the session did not come to its end.
     """
-    rng = np.random.default_rng(seed)
-    built = room(ROOM_NAME, rng=rng, n_frames=N_FRAMES)
-    sighting = observe(built, rng=rng, sigma_px=NOISE_PX, missing=MISSING, false_detections=FALSE)
-    write_simulation(built, sighting, out / "recording", noise_px=NOISE_PX, seed=seed)
-    observations = sighting.observations
-    console.print(
-        f"{ROOM_NAME}: {len(built.cameras)} cameras, {N_FRAMES} frames, {len(observations)} detections; noise "
-        f"{NOISE_PX} px, {MISSING:.0%} missing, {FALSE:.0%} false",
-        highlight=False,
-    )
-    calibration = solve(
-        _known(built, sighting),
-        seed=seed,
-        input_name=ROOM_NAME,
-        input_sha256=digest(observations),
-        console=progress_console,
-    )
-    comparison = compare_with_truth(calibration, built, sighting)
-    save(calibration, out / "calibration.json")
-    write_aniposelib(calibration, out / "aniposelib.toml")
-    _draw(calibration, sighting, out)
-    console.print(calibration_view(calibration))
-    console.print(truth_table(comparison))
-    console.print(_verdict(comparison), f"Written to {out}", sep="\n", soft_wrap=True, highlight=False)
-    return comparison.is_as_predicted
+    begin_s = time.monotonic()
+    files = write_demo(out, seed=seed, rate_hz=DEFAULT_RATE_HZ)
+    with until_signal() as stop:
+        _run_session(files, stop=stop, say=lambda line: _say(console, line))
+    calibration = load(files.session / "calibration.json")
+    is_reached = show_truth(calibration, files.world, console)
+    _say(console, f"The whole took {time.monotonic() - begin_s:.0f} s. In {files.session}:")
+    for path in sorted(path for path in files.session.iterdir() if path.is_file()):
+        _say(console, f"  {path.name}  ({path.stat().st_size / 1e6:.1f} MB)")
+    return is_reached
 
 
-def compare_with_truth(calibration: Calibration, built: Room, sighting: Sighting) -> Comparison:
-    """Errors in the frame of the first camera, without any alignment: this frame and its scale are the claim."""
-    sigma = np.array([camera.sigma for camera in calibration.cameras])
-    focal = PARAMETER_NAMES.index("focal_px")
-    evaluation = evaluate(calibration, sighting.observations)
-    is_evaluated = sighting.observations.n_views() >= 2
-    return Comparison(
-        errors=compare(calibration.as_cameras(), _in_first_frame(built.cameras), align="none"),
-        centre_sigma_m=np.linalg.norm(sigma[:, 3:6], axis=1),
-        focal_sigma_px=sigma[:, focal],
-        mask_share=float((evaluation.is_inlier == sighting.is_usable[is_evaluated]).mean()),
+def show_truth(calibration: Calibration, world: Path, console: Console) -> bool:
+    """Tables and verdict; whether everything was reached."""
+    room = SmartRoom.of(read_world(world).seed)
+    cameras = compare_cameras(calibration, room.cameras)
+    tilts_rad = tilts_of(world)
+    lrfs = [compare_lrf(calibration, lrf, room.cameras, room.scanner, tilts_rad) for lrf in calibration.lrfs]
+    verdict = verdict_of(calibration, cameras, lrfs)
+    console.print(truth_table(cameras))
+    console.print(f"Hold-out: {calibration.quality.holdout.rms_px:.3f} px RMS", highlight=False)
+    console.print(lrf_truth_table(lrfs))
+    console.print(verdict.text, soft_wrap=True)
+    return not verdict.missed
+
+
+def tilts_of(world: Path) -> tuple[float, ...]:
+    """True tilts at which the unit stayed; where it only came by on its way, it moved on at once."""
+    turns = [event for event in EventFile(world).new() if isinstance(event, Rest | Move)]
+    after = [*turns[1:], None]
+    pairs = zip(turns, after, strict=True)
+    return tuple(
+        rest.tilt_rad
+        for rest, then in pairs
+        if isinstance(rest, Rest) and (then is None or then.time_s - rest.time_s > 1.0)
     )
 
 
-def truth_table(comparison: Comparison) -> Table:
-    """Errors beside the standard deviations that the calibration predicts for them."""
-    heads = ("rotation, °", "centre, mm", "its σ", "focal, px", "its σ", "errors / σ")
-    table = plain_table("Errors against the truth", "camera", *heads)
-    errors = comparison.errors
-    for k, name in enumerate(errors.names):
-        centre_sigma = comparison.centre_sigma_m[k]
-        table.add_row(
-            Text(name),
-            f"{errors.rotation_deg[k]:.4f}",
-            f"{1e3 * errors.centre_m[k]:.2f}",
-            f"{1e3 * centre_sigma:.2f}" if centre_sigma > ROUNDING else "–",
-            f"{errors.focal_px[k]:+.2f}",
-            f"{comparison.focal_sigma_px[k]:.2f}",
-            f"{comparison.centre_in_sigma[k]:.1f}, {comparison.focal_in_sigma[k]:.1f}",
+def _run_session(files: DemoFiles, *, stop: threading.Event, say: _Say) -> None:
+    """From the first program's start to the last one's end.
+
+    Raises:
+        SpotcalError: a program ended, the session did not come to its end, or the user interrupted it.
+    """
+    with Children(files.logs) as children:
+        say(f"starting router, {len(files.cameras)} cameras, LRF and coordinator; logs in {files.logs}")
+        children.start("router", (*SPOTCAL, "router", "--listen", files.endpoint))
+        children.start("instruments", (*INSTRUMENTS, str(files.world)))
+        for node, config in files.cameras.items():
+            children.start(node, (*SPOTCAL, "camera", "--config", str(config)))
+        _wait(lambda: _is_listening(files.endpoint), ROUTER_S, "the router", children, stop)
+        _wait(lambda: all((files.world / port).exists() for port in PORTS), PORTS_S, "instruments", children, stop)
+        children.start("lrf", (*SPOTCAL, "lrf", "--config", str(files.lrf)))
+        coordinator = children.start(
+            "coordinator",
+            (*SPOTCAL, "coordinator", "--config", str(files.site), "--auto", "--session", SESSION),
+            echo=lambda line: say(f"  {line}"),
         )
-    return table
+        _play(files, children, coordinator, stop)
+        coordinator.join()
+        if coordinator.process.returncode != 0:
+            raise DeviceError(
+                f"the coordinator ended with status {coordinator.process.returncode}:\n{coordinator.tail()}",
+                advice=f"What the other programs said is in {files.logs}.",
+            )
+        say("ending all programs")
 
 
-def _ratio(error: FloatArray, sigma: FloatArray) -> FloatArray:
-    """error / sigma; where sigma is rounding the value is held, and any error beyond rounding is infinitely wrong."""
-    is_free = sigma > ROUNDING
-    held = np.where(error > ROUNDING, np.inf, 0.0)
-    return np.where(is_free, error / np.where(is_free, sigma, 1.0), held)
+def _play(files: DemoFiles, children: Children, coordinator: Child, stop: threading.Event) -> None:
+    """Be the person in the room until the coordinator ends."""
+    from nodes.bus.keys import Keys
+    from nodes.bus.session import BusOptions, open_bus
+    from nodes.demo_files import SITE
+
+    person = DemoPerson(files.world)
+    with ExitStack() as stack:
+        bus = stack.enter_context(open_bus(BusOptions(SITE, (files.endpoint,)), stop=stop))
+        person.listen(bus, Keys(SITE))
+
+        def is_over() -> bool:
+            person.step()
+            return coordinator.process.poll() is not None
+
+        _wait(is_over, SESSION_S, "the session", children, stop, but=coordinator)
 
 
-def _in_first_frame(cameras: Cameras) -> Cameras:
-    poses = cameras.cam_from_world
-    return replace(cameras, cam_from_world=poses * poses[0].inv())
+def _wait(
+    is_done: _Condition,
+    timeout_s: float,
+    what: str,
+    children: Children,
+    stop: threading.Event,
+    *,
+    but: Child | None = None,
+) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not is_done():
+        children.check(but=but)
+        if stop.wait(TICK_S):
+            raise InterruptedDemoError("interrupted; all programs were ended")
+        if time.monotonic() > end_s:
+            raise DeviceError(f"{what} did not come to its end within {timeout_s:.0f} s")
 
 
-def _known(built: Room, sighting: Sighting) -> Resolved:
-    """What the user of the room knows: image sizes, lens models, the baseline of the stereo pair; no intrinsics."""
-    cameras = built.cameras
-    setups = tuple(
-        CameraSetup(name, (int(width), int(height)), lens=lens)
-        for name, (width, height), lens in zip(cameras.names, cameras.size_px, cameras.lenses, strict=True)
-    )
-    anchor = KnownDistance(cameras.names[0], cameras.names[1], built.baseline_m, is_stereo_pair=True)
-    return Resolved(sighting.observations, setups, anchor, Options(), ())
+def _is_listening(endpoint: str) -> bool:
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    try:
+        with socket.create_connection((host, int(port)), timeout=TICK_S):
+            return True
+    except OSError:
+        return False
 
 
-def _verdict(comparison: Comparison) -> Text:
-    mask = f"Spot or false detection: {100 * comparison.mask_share:.2f} % told apart rightly. "
-    if comparison.is_as_predicted:
-        return Text(f"{mask}Every error is within {MAX_SIGMA:g} of its predicted σ.", style="green")
-    return Text(f"{mask}Errors exceed {MAX_SIGMA:g} of their predicted σ: the uncertainty is wrong.", style="bold red")
-
-
-def _draw(calibration: Calibration, sighting: Sighting, out: Path) -> None:
-    views = SpotViews.of(sighting.observations)
-    points, is_inlier = located(calibration, views)
-    draw_network(calibration, points, out / "network.png")
-    draw_residuals(calibration, views, points, is_inlier, out / "residuals.png")
-    draw_errors(calibration, out / "errors.png")
-
-
-def located(calibration: Calibration, views: SpotViews) -> tuple[FloatArray, BoolArray]:
-    """Spots (F, 3) and inliers (K,) at five of each camera's sigma."""
-    noise = np.array([camera.quality.noise_sigma_px for camera in calibration.cameras])
-    return locate(calibration.as_cameras(), views, 5 * noise[views.camera])
+def _say(console: Console, line: str) -> None:
+    console.print(line, markup=False, highlight=False, soft_wrap=True)

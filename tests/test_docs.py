@@ -17,7 +17,7 @@ from nodes.cli import app
 from nodes.config import load_room
 from nodes.config_model import RoomConfig
 
-DOCS = ("README.md", "docs/conventions.md", "docs/algorithm.md", "docs/hardware.md")
+DOCS = ("README.md", *sorted(f"docs/{path.name}" for path in (Path(__file__).resolve().parents[1] / "docs").glob("*.md")))
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
@@ -68,17 +68,15 @@ def test_every_shell_command_runs(name, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_readme_has_a_walk_through():
+def test_there_is_a_walk_through_from_recordings():
     # Otherwise the test above could pass with nothing to run.
-    script = "".join(blocks_of("README.md", "sh"))
+    script = "".join(blocks_of("docs/recordings.md", "sh"))
     assert {"calibrate", "show", "evaluate", "export"} <= set(re.findall(r"^spotcal (\w+)", script, re.MULTILINE))
 
 
 @pytest.mark.parametrize("name", DOCS)
 def test_every_relative_link_resolves(name):
-    links = [link for link in LINK.findall(prose_of(name)) if "://" not in link]
-    assert links
-    for link in links:
+    for link in (link for link in LINK.findall(prose_of(name)) if "://" not in link):
         path, _, anchor = link.partition("#")
         target = (ROOT / name).parent / path if path else ROOT / name
         assert target.is_file(), link
@@ -108,8 +106,8 @@ def test_every_room_toml_loads(name, number, tmp_path):
     assert load_room(path).model_fields_set
 
 
-def test_readme_shows_every_field_of_room_toml():
-    example = "".join(blocks_of("README.md", "toml"))
+def test_configuration_shows_every_field_of_room_toml():
+    example = "".join(blocks_of("docs/configuration.md", "toml"))
     keys = set(re.findall(r"(\w+) = ", example)) | set(re.findall(r"^\[+(\w+)\]", example, re.MULTILINE))
     assert {field for model in models_below(RoomConfig) for field in model.model_fields} <= keys
 
@@ -151,21 +149,20 @@ def test_every_option_exists(name):
         assert set(OPTION.findall(piece)) <= allowed, piece
 
 
-def test_readme_lists_every_command_with_every_option():
-    rows = {
-        row[1]: row[2] for row in re.finditer(r"^\| `spotcal (\w+)[^`]*` \|(.*)\|$", text_of("README.md"), re.MULTILINE)
-    }
+def test_every_command_is_listed_with_every_option():
+    table = text_of("docs/commands.md")
+    rows = {row[1]: row[2] for row in re.finditer(r"^\| `spotcal (\w+)[^`]*` \|(.*)\|$", table, re.MULTILINE)}
     assert set(rows) == set(COMMANDS)
     for name, row in rows.items():
         assert set(OPTION.findall(row)) == options_of(COMMANDS[name]) - {"--help"}, name
 
 
-def test_readme_explains_every_warning_and_no_other():
+def test_every_warning_is_explained_and_no_other():
     code = re.compile(r'Doubt\(\s*"(\w+)"')
     raised = {
         match for path in (ROOT / "network_calib").glob("*.py") for match in code.findall(path.read_text("utf-8"))
     }
-    section = text_of("README.md").partition("## Warnings and refusals")[2].partition("\n## ")[0]
+    section = text_of("docs/warnings.md")
     assert set(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)) == raised
 
 

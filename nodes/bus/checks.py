@@ -7,6 +7,7 @@ field; who counts it stands in `coordinator/` and in the nodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -27,6 +28,9 @@ EARLIEST_NS, LATEST_NS = 946_684_800 * 10**9, 7_258_118_400 * 10**9
 # No clock of a site is so far ahead: a message from the future would order itself behind everything.
 MAX_AHEAD_NS = 60 * 10**9
 MAX_SEQUENCE = 2**53
+FEW = 32
+# Asked for at every message; the enumerations' own lists are made anew each time.
+CLOCK_SOURCES, STAMP_ORIGINS = frozenset(pb.ClockSource.values()), frozenset(pb.StampOrigin.values())
 
 
 class MessageError(Exception):
@@ -70,7 +74,20 @@ def parse_observation(kind: Kind, payload: bytes, *, node: str, now_ns: int) -> 
     """
     message = parse(TYPES[kind], payload, node=node, now_ns=now_ns)
     _CHECKS[kind](message)
+    if _newest_ns(message) > now_ns + MAX_AHEAD_NS:  # pyright: ignore[reportArgumentType]
+        raise MessageError("stamps: in the future")
     return message  # pyright: ignore[reportReturnType]
+
+
+def _newest_ns(message: Observation) -> int:
+    match message:
+        case pb.SpotBatch():
+            return max(message.frame_stamp_ns)
+        case pb.ImuBatch():
+            return max(message.arrival_ns)
+        case pb.LrfScan() | pb.LrfSpot():
+            return message.stamp_ns
+    return message.header.stamp_ns
 
 
 def parse_status(payload: bytes, *, node: str, now_ns: int) -> pb.NodeStatus:
@@ -128,7 +145,7 @@ def check_header(header: pb.Header, *, node: str | None, now_ns: int) -> None:
         raise MessageError("header.sequence: too large")
     if header.session and NAME.fullmatch(header.session) is None:
         raise MessageError("header.session: no name")
-    if header.clock.source not in pb.ClockSource.values():
+    if header.clock.source not in CLOCK_SOURCES:
         raise MessageError("header.clock.source: unknown")
     _numbers("header.clock.sigma_s", [header.clock.sigma_s], 0, 1e9)
     _stamps("header.stamp_ns", [header.stamp_ns])
@@ -141,7 +158,7 @@ def _spots(m: pb.SpotBatch) -> None:
     if not (0 < m.width_px <= MAX_SIDE_PX and 0 < m.height_px <= MAX_SIDE_PX):
         raise MessageError("width_px, height_px: no image")
     _numbers("rate_hz", [m.rate_hz], 0, 1e6)
-    if m.origin not in pb.StampOrigin.values():
+    if m.origin not in STAMP_ORIGINS:
         raise MessageError("origin: unknown")
     n, k = len(m.frame_sequence), len(m.spot_frame)
     if not 0 < n <= MAX_FRAMES:
@@ -151,11 +168,11 @@ def _spots(m: pb.SpotBatch) -> None:
     _lengths("frame_stamp_ns", [m.frame_stamp_ns], n)
     _lengths("x_px, y_px, sigma_px, score", [m.x_px, m.y_px, m.sigma_px, m.score], k)
     _stamps("frame_stamp_ns", m.frame_stamp_ns)
-    sequence = np.array(m.frame_sequence, dtype=np.uint64)
-    if (sequence > MAX_SEQUENCE).any() or (sequence[1:] <= sequence[:-1]).any():
+    sequence = list(m.frame_sequence)
+    if sequence[-1] > MAX_SEQUENCE or any(b <= a for a, b in pairwise(sequence)):
         raise MessageError("frame_sequence: does not rise")
-    frame = np.array(m.spot_frame, dtype=np.int64)
-    if (frame >= n).any() or (np.diff(frame) < 0).any():
+    frame = list(m.spot_frame)
+    if (frame and frame[-1] >= n) or any(b < a for a, b in pairwise(frame)):
         raise MessageError("spot_frame: no frame of the batch, or falls")
     _numbers("x_px", m.x_px, -0.5, m.width_px - 0.5)
     _numbers("y_px", m.y_px, -0.5, m.height_px - 0.5)
@@ -173,6 +190,8 @@ def _lrf_info(m: pb.LrfInfo) -> None:
         raise MessageError("front_step: beyond a turn")
     _numbers("range_min_m", [m.range_min_m], 0, 1e4)
     _numbers("range_max_m", [m.range_max_m], 1e-3, 1e4)
+    if m.range_min_m >= m.range_max_m:
+        raise MessageError("range_min_m, range_max_m: no range")
     _numbers("turn_s", [m.turn_s], 1e-4, 10)
 
 
@@ -254,8 +273,13 @@ _CHECKS: dict[Kind, Callable[..., None]] = {
 
 
 def _numbers(field: str, values: Sequence[float], low: float, high: float) -> None:
-    array = np.asarray(values, dtype=np.float64)
-    if not ((array >= low) & (array <= high)).all():  # false for NaN too
+    # NumPy begins to pay beyond some ten values; most messages hold fewer. Both comparisons are false for NaN, too.
+    if len(values) <= FEW:
+        is_within = all(low <= value <= high for value in values)
+    else:
+        array = np.asarray(values, dtype=np.float64)
+        is_within = bool(((array >= low) & (array <= high)).all())
+    if not is_within:
         raise MessageError(f"{field}: out of bounds")
 
 
@@ -270,7 +294,8 @@ def _lengths(field: str, columns: Sequence[Sequence[object]], n: int) -> None:
 
 
 def _text(field: str, value: str) -> None:
-    if len(value) > MAX_TEXT or any(ord(c) < 32 and c not in "\n\t" for c in value):
+    # Both blocks of control characters: a terminal obeys either.
+    if len(value) > MAX_TEXT or any((ord(c) < 32 and c not in "\n\t") or 127 <= ord(c) < 160 for c in value):
         raise MessageError(f"{field}: too long, or control characters")
 
 

@@ -121,6 +121,10 @@ class Keys:
     def replay_summary(self, node: str) -> str:
         return f"{self.base}/node/{check_name(node, of='node')}/@replay/summary"
 
+    @property
+    def all_summaries(self) -> str:
+        return f"{self.base}/node/*/@replay/summary"
+
     def status(self, node: str) -> str:
         return f"{self.base}/node/{check_name(node, of='node')}/status"
 

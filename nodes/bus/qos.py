@@ -25,6 +25,7 @@ OBSERVATION = Qos(zenoh.Priority.DATA_HIGH)
 STATUS = Qos(zenoh.Priority.DATA)
 COMMAND = Qos(zenoh.Priority.INTERACTIVE_HIGH, express=True)
 STATE = Qos(zenoh.Priority.INTERACTIVE_LOW, express=True)
+REPLAY = Qos(zenoh.Priority.DATA_LOW)
 RESULT = Qos(zenoh.Priority.DATA_LOW)
 PROJECTION = Qos(zenoh.Priority.INTERACTIVE_LOW)
 

@@ -7,9 +7,10 @@ session reconnects by itself. Sessions are left by `with`: one that is forgotten
 from __future__ import annotations
 
 import json
+import re
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +22,13 @@ from nodes.devices.errors import DeviceError
 DEFAULT_PORT = 7447
 DEFAULT_ENDPOINT = f"tcp/127.0.0.1:{DEFAULT_PORT}"
 RETRY_S = 0.5
+CLOSE_S = 1.0
 # A node that freezes or loses its link is missed after this.
 LEASE_MS = 2000
 MAX_SESSIONS, MAX_PENDING = 4000, 2000
 MAX_MESSAGE_BYTES = 16 * 2**20
+# Zenoh takes any protocol here and fails when it connects, which looks as if nobody answered.
+PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +130,10 @@ def open_bus(options: BusOptions, *, stop: threading.Event | None = None) -> Ite
         except zenoh.ZError:
             if halt.wait(RETRY_S):
                 raise DeviceError(f"no router answered at {', '.join(options.endpoints)}") from None
-    with session:
+    try:
         yield session
+    finally:
+        _close(session)
 
 
 @contextmanager
@@ -143,11 +149,31 @@ def open_router(listen: tuple[str, ...], *, tls: TlsFiles | None = None) -> Iter
         session = zenoh.open(router_config(listen, tls=tls))
     except zenoh.ZError as error:
         raise DeviceError(
-            f"the router cannot listen at {', '.join(listen)}: {error}",
+            f"the router cannot listen at {', '.join(listen)}: {_first_cause(error)}",
             advice="Does another router run there? Stop it, or choose another port.",
         ) from None
-    with session:
+    try:
         yield session
+    finally:
+        _close(session)
+
+
+def _first_cause(error: zenoh.ZError) -> str:
+    """What Zenoh's innermost error says, without the places in its sources that it appends."""
+    innermost = re.split(r" at \S+\.rs:\d+", str(error))[0].rpartition("[")[2]
+    return re.sub(r" \(os error \d+\)$", "", innermost).rpartition(": ")[2]
+
+
+def _close(session: zenoh.Session) -> None:
+    """Close, in bounded time: with a router that is frozen it takes ten seconds, and then fails."""
+    closing = threading.Thread(target=_close_quietly, args=(session,), name="close bus", daemon=True)
+    closing.start()
+    closing.join(CLOSE_S)
+
+
+def _close_quietly(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):
+        session.close()
 
 
 def _common() -> dict[str, object]:
@@ -161,12 +187,15 @@ def _common() -> dict[str, object]:
 
 
 def _config(settings: dict[str, object], endpoints: tuple[str, ...]) -> zenoh.Config:
+    fault = InputError(
+        f"{', '.join(endpoints) or 'none'}: no addresses of a bus", advice="Expected such as tcp/192.168.1.10:7447."
+    )
+    if not endpoints or any(endpoint.partition("/")[0] not in PROTOCOLS for endpoint in endpoints):
+        raise fault
     config = zenoh.Config()
     for path, value in settings.items():
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError:
-            raise InputError(
-                f"{', '.join(endpoints)}: no addresses of a bus", advice="Expected such as tcp/192.168.1.10:7447."
-            ) from None
+            raise fault from None
     return config

@@ -289,14 +289,20 @@ class SessionState(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., phase: _Optional[_Union[SessionPhase, str]] = ..., message: _Optional[str] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("header", "verb", "number")
+    __slots__ = ("header", "verb", "number", "tilts_rad", "n_crossings", "is_late")
     HEADER_FIELD_NUMBER: _ClassVar[int]
     VERB_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
+    TILTS_RAD_FIELD_NUMBER: _ClassVar[int]
+    N_CROSSINGS_FIELD_NUMBER: _ClassVar[int]
+    IS_LATE_FIELD_NUMBER: _ClassVar[int]
     header: Header
     verb: str
     number: float
-    def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., verb: _Optional[str] = ..., number: _Optional[float] = ...) -> None: ...
+    tilts_rad: _containers.RepeatedScalarFieldContainer[float]
+    n_crossings: int
+    is_late: bool
+    def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., verb: _Optional[str] = ..., number: _Optional[float] = ..., tilts_rad: _Optional[_Iterable[float]] = ..., n_crossings: _Optional[int] = ..., is_late: _Optional[bool] = ...) -> None: ...
 
 class Reply(_message.Message):
     __slots__ = ("header", "code", "message", "content")

@@ -7,8 +7,11 @@ from typing import Annotated
 
 import typer
 
+from nodes.commands import site
+
 ADDRESS_HELP = "Serial port such as /dev/ttyACM0, or tcp://host:port."
-lrf = typer.Typer(help="Laser range finders: watch one, acquire with one.", no_args_is_help=True)
+lrf = typer.Typer(help="Laser range finders: watch one, acquire with one, run one as a node.", no_args_is_help=True)
+lrf.callback(invoke_without_command=True)(site.lrf_node)
 
 
 def devices(
@@ -33,13 +36,18 @@ def emulate(
     tcp: Annotated[bool, typer.Option("--tcp", help="On TCP ports of this machine instead.")] = False,
     newer: Annotated[bool, typer.Option("--newer", help="Successors: UST-10LX scanner, MTData2 IMU.")] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the simulated room and all noise.")] = 0,
+    session: Annotated[
+        Path | None, typer.Option("--session", metavar="FOLDER", help="Gets, at the end, what cameras saw meanwhile.")
+    ] = None,
 ) -> None:
     """Emulate instruments that any program may talk to, until interrupted."""
     from nodes.emulate import run_emulators
     from nodes.report.terminal import stderr_console
 
     try:
-        run_emulators(instrument, folder, is_tcp=tcp, is_newer=newer, seed=seed, console=stderr_console())
+        run_emulators(
+            instrument, folder, is_tcp=tcp, is_newer=newer, seed=seed, session=session, console=stderr_console()
+        )
     except KeyboardInterrupt:
         return
 
@@ -83,3 +91,24 @@ def acquire(
     print_notes(console, acquired.tilts.notes)
     counts, found = acquired.scan_counts, ", ".join(str(len(setting.crossings)) for setting in acquired.settings)
     console.print(f"{found} crossings; {counts.scans} scans, {counts.missed} missed; written to {out}", soft_wrap=True)
+
+
+@lrf.command()
+def join(
+    acquisitions: Annotated[
+        list[Path], typer.Argument(metavar="ACQUISITION...", help="Folders of `lrf acquire`, one for each LRF.")
+    ],
+    session: Annotated[
+        Path,
+        typer.Option("--session", metavar="FOLDER", help="The cameras' table with stamps; gets lrf.csv, tilts.csv."),
+    ],
+) -> None:
+    """Join crossings to the cameras' frames by time: `calibrate` then takes cameras and LRFs together."""
+    from nodes.lrf.join import join
+    from nodes.report.terminal import stderr_console
+
+    joined = join(acquisitions, session)
+    console = stderr_console()
+    for line in joined.lines():
+        console.print(line, markup=False, soft_wrap=True)
+    console.print(f"lrf.csv and tilts.csv written to {session}", markup=False, soft_wrap=True)

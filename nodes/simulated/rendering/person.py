@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nodes.simulated.rendering.camera_view import CameraView
-from nodes.simulated.rendering.spot_path import SpotPath
+from nodes.simulated.rendering.spot_path import BallPath
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -82,7 +82,7 @@ class Shadow:
     dark: ByteArray
 
 
-def person_at(path: SpotPath, time_s: float, *, clothes: float, phase_rad: float) -> Person | None:
+def person_at(path: BallPath, time_s: float, *, clothes: float, phase_rad: float) -> Person | None:
     """The person who holds the ball at an instant; None while nobody is in the room.
 
     They turn around the ball slowly, so that now and then they stand between it and a camera.

@@ -19,7 +19,7 @@ from nodes.simulated.rendering.room_layout import layout_of
 from nodes.simulated.rendering.room_scene import RoomScene
 from nodes.simulated.rendering.room_view import RoomView
 from nodes.simulated.rendering.sensor import SensorModel, bloom, develop, surplus_of
-from nodes.simulated.rendering.spot_path import SpotPath
+from nodes.simulated.rendering.spot_path import BallPath
 from nodes.simulated.rendering.spot_truth import SpotLight, SpotOptics, SpotTruth, truth_of
 
 Float32Array = npt.NDArray[np.float32]
@@ -82,7 +82,7 @@ class RenderedCamera:
         self,
         cameras: Cameras,
         index: int,
-        path: SpotPath,
+        path: BallPath,
         *,
         scene: RoomScene,
         sensor: SensorModel,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from network_calib.cameras import Cameras
 from nodes.simulated.rendering.room_scene import RoomScene
-from nodes.simulated.rendering.spot_path import SpotPath
+from nodes.simulated.rendering.spot_path import BallPath
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -115,7 +115,7 @@ class RoomLayout:
         return ((enter < leave) & (leave > 0) & (enter < 1)).any(axis=1)
 
 
-def layout_of(scene: RoomScene, cameras: Cameras, path: SpotPath, *, seed: int) -> RoomLayout:
+def layout_of(scene: RoomScene, cameras: Cameras, path: BallPath, *, seed: int) -> RoomLayout:
     """Lay a room out around its cameras and the spot's way; nothing stands in the way or before a lens."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x700]))
     way = path.points_in_world[np.isfinite(path.points_in_world).all(axis=1)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,32 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 # No hand is faster; a larger step is a cut (the pointer was off and elsewhere again), and nothing moves across it.
 MAX_SPEED_M_S = 15.0
+
+
+class BallPath(Protocol):
+    """What a renderer asks of the ball's way."""
+
+    @property
+    def points_in_world(self) -> FloatArray:
+        """(F, 3) places that the ball may come to, m; furniture stands elsewhere. NaN: nobody is in the room."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Instants a second."""
+        ...
+
+    def __len__(self) -> int:
+        """Number of instants."""
+        ...
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Positions (N, 3) at instants (N,) of one exposure; NaN: nobody."""
+        ...
+
+    def is_shining(self, time_s: float) -> bool:
+        """Whether the pointer is on at an instant."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from nodes.simulated.rendering.room_layout import RoomLayout
 from nodes.simulated.rendering.room_scene import RoomScene
 from nodes.simulated.rendering.sensor import SensorModel
 from nodes.simulated.rendering.spot_image import Beams, Patch, beams_of_ball, n_instants_for, patch_of
-from nodes.simulated.rendering.spot_path import SpotPath
+from nodes.simulated.rendering.spot_path import BallPath
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -108,7 +108,7 @@ class SpotOptics:
     """
 
     view: CameraView
-    path: SpotPath
+    path: BallPath
     scene: RoomScene
     sensor: SensorModel
     layout: RoomLayout

@@ -18,7 +18,7 @@ from nodes.camera.detect_camera import CameraJob, detect_camera
 from nodes.camera.lasting_advice import LastingAdvice
 from nodes.camera.matching_frames import candidates_of, match_frames
 from nodes.config import load_room
-from nodes.demo import compare_with_truth
+from nodes.demo_truth import compare_with_truth
 from nodes.detection.spots import Advice, AdviceKind
 from nodes.detector_settings import DetectorSettings, NamedSource
 from nodes.frames import StampOrigin
@@ -73,7 +73,7 @@ def test_five_videos_become_a_calibration(walk, spotcal, tmp_path):
     assert calibration.quality.holdout.rms_px <= 0.2
     observations = read_source(table).observations
     everything = np.ones(len(observations), dtype=bool)
-    comparison = compare_with_truth(calibration, built, Sighting(observations, everything, observations.frame))
+    comparison = compare_with_truth(calibration, built, Sighting(observations, everything, observations.frame)).cameras
     # Chance that a centre (3 degrees of freedom) is out by more than 3 sigma: 2.9 %, of any of four 11 %; seeds are
     # fixed, so it is drawn once. A sigma that is half too small would show at 6.
     assert comparison.centre_in_sigma.max() <= 3.0
