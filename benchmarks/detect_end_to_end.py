@@ -26,7 +26,7 @@ from network_calib.room_setup import CameraSetup, KnownDistance
 from network_calib.spots import SpotViews
 from network_calib.synthetic import Room, Sighting, room
 from nodes.camera.detect import detect
-from nodes.demo import compare_with_truth
+from nodes.demo_truth import compare_with_truth
 from nodes.detector_settings import DetectorSettings, named_sources
 from nodes.simulated.rendering.rendered_files import write_video
 from nodes.simulated.rendering.spot_truth import SpotTruth

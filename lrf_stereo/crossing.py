@@ -213,7 +213,8 @@ class _Run:
     def distance_to(self, other: _Run) -> float:
         """Distance in the scan plane, m."""
         turn = self.bearing_rad - other.bearing_rad
-        return float(np.sqrt(self.range_m**2 + other.range_m**2 - 2 * self.range_m * other.range_m * np.cos(turn)))
+        across_m = 2 * np.sqrt(self.range_m * other.range_m) * np.sin(turn / 2)
+        return float(np.hypot(self.range_m - other.range_m, across_m))
 
 
 def _linked(candidates: SpotCandidates, stamp_s: FloatArray) -> list[IntArray]:

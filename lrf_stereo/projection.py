@@ -8,25 +8,19 @@ needs stays in the processor's cache.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from lrf_stereo.beams import N_SCANNER, Beams, Measurements, TiltedScanner
-from lrf_stereo.lens_arrays import Brown, KannalaBrandt
+from lrf_stereo.camera_array import CameraArray, PointSpread
 from lrf_stereo.noise import LrfNoise
-from lrf_stereo.pixel_covariance import ValidPixels
-from lrf_stereo.pixel_tile import LensGroup, Tile
 from lrf_stereo.scanner import TiltingScanner
 from network_calib.camera_parameters import N_PARAMETERS
 from network_calib.cameras import Cameras
 from network_calib.errors import InputError
 from network_calib.observations import BoolArray, FloatArray, IntArray
-
-# Pixels in one tile: enough to make NumPy's overhead small, few enough for the second-level cache.
-TILE_PIXELS = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,14 +111,38 @@ class LrfProjector:
     def __init__(
         self, scanner: TiltingScanner, cameras: Cameras, *, covariance: CalibrationCovariance | None = None
     ) -> None:
-        self._covariance = covariance or CalibrationCovariance()
-        self._covariance.check(len(cameras))
-        self._is_calibration_uncertain = covariance is not None
-        self._n_cameras = len(cameras)
-        self._groups = tuple(_lens_groups(cameras, self._covariance))
+        given = covariance or CalibrationCovariance()
+        given.check(len(cameras))
+        array = CameraArray(cameras, covariance=given.cameras, camera_scanner=given.camera_scanner)
+        self._prepare(scanner, array, given, is_calibration_uncertain=covariance is not None)
+
+    @classmethod
+    def sharing(
+        cls, array: CameraArray, scanner: TiltingScanner, scanner_covariance: FloatArray | None = None
+    ) -> LrfProjector:
+        """A projector into cameras that stand prepared for other scanners too.
+
+        Without noise and without `scanner_covariance` (15, 15) it gives no covariance.
+        """
+        out = cls.__new__(cls)
+        given = CalibrationCovariance(scanner=scanner_covariance)
+        given.check(len(array))
+        out._prepare(scanner, array, given, is_calibration_uncertain=scanner_covariance is not None)
+        return out
+
+    def _prepare(
+        self,
+        scanner: TiltingScanner,
+        array: CameraArray,
+        given: CalibrationCovariance,
+        *,
+        is_calibration_uncertain: bool,
+    ) -> None:
+        self._covariance = given
+        self._is_calibration_uncertain = is_calibration_uncertain
+        self._array = array
         self._tilted = TiltedScanner.of(scanner, np.empty(0))
         self._spread: tuple[LrfNoise | None, FloatArray] | None = None
-        self._work = np.empty(0)
 
     def project(
         self,
@@ -133,117 +151,38 @@ class LrfProjector:
         tilt_rad: npt.ArrayLike,
         *,
         noise: LrfNoise | None = None,
+        cameras: IntArray | None = None,
     ) -> LrfProjection:
-        """Project measurements; arguments and result as in `project_lrf`."""
-        measured = Measurements.of(range_m, bearing_rad, tilt_rad)
-        self._tilt(measured.tilts_rad)
-        beams = Beams.of(self._tilted, measured.tilt_of, measured.range_m, measured.bearing_rad)
-        points = beams.ends_in_world()
-        is_wanted = noise is not None or self._is_calibration_uncertain
-        spread = self._spread_of(beams, noise) if is_wanted else None
-        canvas = _Canvas.of(self._n_cameras, points.shape[1], is_with_covariance=is_wanted)
-        with np.errstate(all="ignore"):  # what is behind a camera or overflows is not finite, and reported as invalid
-            for group, members in self._groups:
-                for rows, columns in _tiles(len(members), points.shape[1]):
-                    tile = Tile.of(group.take(rows), points[:, columns])
-                    canvas.put(tile, members[rows], columns)
-                    if spread is not None:
-                        pixels = ValidPixels.of(tile)
-                        covariance = pixels.covariance(*spread.take(columns), self._memory(pixels.work_size()))
-                        canvas.put_covariance(covariance, members[rows][pixels.camera], pixels.point + columns.start)
-        return canvas.as_projection(measured.shape)
+        """Project measurements; arguments and result as in `project_lrf`.
+
+        Args:
+            range_m: see `project_lrf`.
+            bearing_rad: see `project_lrf`.
+            tilt_rad: see `project_lrf`.
+            noise: see `project_lrf`.
+            cameras: indices of the cameras to project into, in the order of the result; all by default.
+        """
+        with np.errstate(all="ignore"):  # what is not finite ends nowhere, and is reported as invalid
+            measured = Measurements.of(range_m, bearing_rad, tilt_rad)
+            self._tilt(measured.tilts_rad)
+            beams = Beams.of(self._tilted, measured.tilt_of, measured.range_m, measured.bearing_rad)
+            is_wanted = noise is not None or self._is_calibration_uncertain
+            spread = self._spread_of(beams, noise) if is_wanted else None
+            sheet = self._array.project(beams.ends_in_world(), spread, cameras)
+        whole = (len(sheet.depth_m), *measured.shape)
+        return LrfProjection(
+            px=sheet.px_of_shape(measured.shape),
+            is_valid=sheet.is_valid.reshape(whole),
+            depth_m=sheet.depth_m.reshape(whole),
+            covariance_px2=sheet.covariance_of_shape(measured.shape),
+        )
 
     def _tilt(self, tilts_rad: FloatArray) -> None:
         if not np.array_equal(tilts_rad, self._tilted.tilts_rad):
             self._tilted, self._spread = TiltedScanner.of(self._tilted.scanner, tilts_rad.copy()), None
 
-    def _spread_of(self, beams: Beams, noise: LrfNoise | None) -> _Spread:
+    def _spread_of(self, beams: Beams, noise: LrfNoise | None) -> PointSpread:
         if self._spread is None or self._spread[0] != noise:
             self._spread = noise, self._tilted.factors_of_spread(noise, self._covariance.scanner)
         slope = None if self._covariance.camera_scanner is None else beams.by_scanner()
-        return _Spread(beams.covariance(self._spread[1], noise), slope)
-
-    def _memory(self, size: int) -> FloatArray:
-        """Numbers to overwrite, kept from one tile to the next."""
-        if size > len(self._work):
-            self._work = np.empty(size)
-        return self._work
-
-
-@dataclass(frozen=True, slots=True)
-class _Spread:
-    """How uncertain the ends are: (3, 3, N) covariance; (15, 3, N) slope where cameras and scanner err together."""
-
-    covariance: FloatArray
-    by_scanner: FloatArray | None
-
-    def take(self, columns: slice) -> tuple[FloatArray, FloatArray | None]:
-        return self.covariance[..., columns], None if self.by_scanner is None else self.by_scanner[..., columns]
-
-
-@dataclass(frozen=True, slots=True)
-class _Canvas:
-    """What the tiles are put on: px (2, C, N), depth and validity (C, N), covariance xx, xy, yy (3, C, N) or None."""
-
-    px: FloatArray
-    depth_m: FloatArray
-    is_valid: BoolArray
-    covariance_px2: FloatArray | None
-
-    @classmethod
-    def of(cls, n_cameras: int, n_beams: int, *, is_with_covariance: bool) -> _Canvas:
-        return cls(
-            px=np.empty((2, n_cameras, n_beams)),
-            depth_m=np.empty((n_cameras, n_beams)),
-            is_valid=np.empty((n_cameras, n_beams), dtype=bool),
-            covariance_px2=np.full((3, n_cameras, n_beams), np.nan) if is_with_covariance else None,
-        )
-
-    def put(self, tile: Tile, members: IntArray, columns: slice) -> None:
-        # Cameras of one kind mostly stand together, and a slice is written to faster than an index array.
-        is_run = members[-1] - members[0] + 1 == len(members)
-        rows = slice(members[0], members[-1] + 1) if is_run else members
-        self.px[:, rows, columns] = tile.px
-        self.depth_m[rows, columns] = tile.depth
-        self.is_valid[rows, columns] = tile.is_valid
-
-    def put_covariance(self, covariance: FloatArray, camera: IntArray, beam: IntArray) -> None:
-        assert self.covariance_px2 is not None
-        place = camera * self.depth_m.shape[1] + beam
-        for plane, values in zip(self.covariance_px2, covariance, strict=True):
-            plane.reshape(-1)[place] = values
-
-    def as_projection(self, shape: tuple[int, ...]) -> LrfProjection:
-        whole = (len(self.depth_m), *shape)
-        planes = self.covariance_px2
-        return LrfProjection(
-            px=self.px.reshape(2, *whole).transpose(*range(1, len(whole) + 1), 0),
-            is_valid=self.is_valid.reshape(whole),
-            depth_m=self.depth_m.reshape(whole),
-            covariance_px2=None if planes is None else _as_matrices(planes.reshape(3, *whole)),
-        )
-
-
-def _as_matrices(planes: FloatArray) -> FloatArray:
-    """(..., 2, 2) read-only view of the planes xx, xy, yy (3, ...): entry (a, b) is plane a + b, without a copy."""
-    strides = (*planes.strides[1:], planes.strides[0], planes.strides[0])
-    out = np.ndarray((*planes.shape[1:], 2, 2), np.float64, planes, strides=strides)
-    out.flags.writeable = False
-    return out
-
-
-def _lens_groups(cameras: Cameras, given: CalibrationCovariance) -> Iterator[tuple[LensGroup, IntArray]]:
-    """The cameras of each kind of lens, and their indices."""
-    for lens, is_of_kind in ((Brown, ~cameras.is_fisheye), (KannalaBrandt, cameras.is_fisheye)):
-        members = np.flatnonzero(is_of_kind)
-        if len(members):
-            yield LensGroup.of(lens, cameras, members, given.cameras, given.camera_scanner), members
-
-
-def _tiles(n_cameras: int, n_beams: int) -> Iterator[tuple[slice, slice]]:
-    """Ranges of cameras and beams that together cover every pixel once."""
-    n_columns = max(1, min(n_beams, TILE_PIXELS))
-    n_rows = TILE_PIXELS // n_columns
-    for row in range(0, n_cameras, n_rows):
-        for column in range(0, n_beams, n_columns):
-            yield slice(row, row + n_rows), slice(column, column + n_columns)
+        return PointSpread(beams.covariance(self._spread[1], noise), slope)

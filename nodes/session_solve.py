@@ -30,13 +30,11 @@ from nodes.config_model import RoomConfig
 from nodes.lrf.matching import TimedSightings, with_frames
 from nodes.lrf.session import instrument_of
 from nodes.recording.join_lrfs import LrfRecord, LrfSpotColumns
+from nodes.recording.layout import PARTS, SESSION
 from nodes.recording.session_data import SessionData, read_session
 from nodes.report.terminal import print_notes
 from nodes.site.load import site_of_text
 from nodes.solve import solve
-
-# What makes a folder or file a recorded session.
-SESSION_FILE, PARTS = "session.mcap", "parts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +59,7 @@ class Prepared:
 def is_session(path: Path) -> bool:
     """Whether a path is a recorded session: its folder, or an MCAP file."""
     if path.is_dir():
-        return (path / SESSION_FILE).is_file() or (path / PARTS).is_dir()
+        return (path / SESSION).is_file() or (path / PARTS).is_dir()
     return path.suffix.lower() == ".mcap"
 
 
@@ -109,7 +107,20 @@ def prepare(data: SessionData, room: RoomConfig) -> Prepared:
     resolved = resolve(recording, only)
     lrfs, lrf_notes = _lrfs(data.lrfs, room, *_instants(seeing, matched))
     blind = [f"{camera.name}: saw no spot; left out" for camera in data.cameras if not camera.n_seen]
-    return Prepared(resolved, lrfs, data.session, recording.sha256, (*blind, *resolved.notes, *lrf_notes))
+    notes = (*_gap_notes(data), *blind, *resolved.notes, *lrf_notes)
+    return Prepared(resolved, lrfs, data.session, recording.sha256, notes)
+
+
+def _gap_notes(data: SessionData) -> list[str]:
+    """What the recording lacks or had refused."""
+    lost: dict[str, int] = {}
+    for rows in data.missing:
+        lost[rows.node] = lost.get(rows.node, 0) + rows.last - rows.first + 1
+    notes = [f"{node}: {n} of its messages are not in the recording" for node, n in sorted(lost.items())]
+    if data.refused:
+        told = ", ".join(f"{reason} ({n})" for reason, n in data.refused.most_common(3))
+        notes.append(f"{data.refused.total()} messages of the recording were refused: {told}")
+    return notes
 
 
 def _in_order(cameras: Sequence[CameraDetections], room: RoomConfig) -> list[CameraDetections]:

@@ -17,13 +17,13 @@ from nodes.cli import app
 from nodes.config import load_room
 from nodes.config_model import RoomConfig
 
-DOCS = ("README.md", *sorted(f"docs/{path.name}" for path in (Path(__file__).resolve().parents[1] / "docs").glob("*.md")))
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 CONSTANT = re.compile(r"`(\w+)\.(_?[A-Z][A-Z_]+)`\s=\s(-?\d[\d.]*\d|\d)")
-ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = typer.main.get_group(app).commands
 
 

@@ -4,7 +4,6 @@ ingest.py      from the bus: one worker behind Zenoh's threads; `complete` says 
 intake.py      what is believed of what arrives: checks, boots, sequence
 books.py       what one node's journal is known to hold, and when to ask it next
 catch_up.py    asks for what is missing; asker.py sends the questions; missing.py is the report
-ledger.py      which rows are here
 refusals.py    what was refused, by whom and why
 presence.py    who is there
 

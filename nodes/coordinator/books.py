@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from nodes.coordinator.ledger import Gap, Ledger
+from nodes.bus.ledger import Gap, Ledger
 from nodes.coordinator.received import Received
 
 ROWS_A_REQUEST = 500

@@ -59,12 +59,25 @@ def finish_offline(job: FinishJob) -> Finished:
     calibration = solve_session(job.folder, seed=job.seed, console=Console(quiet=True))
     write_whole(folder.calibration, lambda path: save(calibration, path))
     write_whole(folder.aniposelib, lambda path: write_aniposelib(calibration, path))
+    notes = (*_report(folder, calibration), *_shown_in_viewers(folder))
     quality = calibration.quality
     summary = (
         f"{len(calibration.cameras)} cameras, {len(calibration.lrfs)} LRFs; {quality.n_inliers} of "
         f"{quality.n_observations} observations used, {quality.fitted.rms_px:.3f} px RMS"
     )
-    return Finished(calibration_id(folder.calibration.read_bytes()), summary, _report(folder, calibration))
+    return Finished(calibration_id(folder.calibration.read_bytes()), summary, notes)
+
+
+def _shown_in_viewers(folder: SessionFolder) -> tuple[str, ...]:
+    """The recording once more, now with the calibrated cameras for viewers of it; its rows stay as they are."""
+    from network_calib.errors import SpotcalError
+    from nodes.recording.merge import rewrite
+
+    try:
+        rewrite(folder.path)
+    except (SpotcalError, OSError) as error:
+        return (f"the calibration could not be added to the recording: {error}",)
+    return ()
 
 
 def _report(folder: SessionFolder, calibration: Calibration) -> tuple[str, ...]:

@@ -18,11 +18,11 @@ import zenoh
 
 from nodes.bus.checks import MAX_MESSAGE_BYTES
 from nodes.bus.keys import Keys
+from nodes.bus.ledger import Ledger
 from nodes.coordinator.asker import Asker
 from nodes.coordinator.books import Ask
 from nodes.coordinator.catch_up import CatchUp, Completing
 from nodes.coordinator.intake import Intake
-from nodes.coordinator.ledger import Ledger
 from nodes.coordinator.missing import MissingReport
 from nodes.coordinator.received import Received
 from nodes.coordinator.refusals import Refusals

@@ -12,9 +12,9 @@ from nodes.bus import checks
 from nodes.bus import spotcal_pb2 as pb
 from nodes.bus.checks import MessageError
 from nodes.bus.keys import ObservationKey, parse_observation
+from nodes.bus.ledger import Ledger
 from nodes.bus.seal import is_intact
 from nodes.coordinator.books import GRACE_S, MAX_HELD, Book, Held, Span
-from nodes.coordinator.ledger import Ledger
 from nodes.coordinator.received import Received
 from nodes.coordinator.refusals import Refusals
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from nodes.bus.ledger import Ledger
 from nodes.coordinator.books import Book
-from nodes.coordinator.ledger import Ledger
 
 
 @dataclass(frozen=True, slots=True)

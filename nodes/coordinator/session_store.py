@@ -7,9 +7,9 @@ from pathlib import Path
 
 from nodes.bus.checks import MessageError, parse_observation
 from nodes.bus.keys import parse_observation as parse_key
+from nodes.bus.ledger import Ledger
 from nodes.camera.camera_detections import CameraDetections
 from nodes.coordinator.coverage import CameraSeen, Coverage, LrfSeen
-from nodes.coordinator.ledger import Ledger
 from nodes.coordinator.received import Received
 from nodes.coordinator.sufficiency import Overlaps, overlaps_of
 from nodes.recording.reader import rows

@@ -14,7 +14,7 @@ from hashlib import blake2b
 from nodes.bus import spotcal_pb2 as pb
 from nodes.bus.checks import MessageError, Observation, parse_observation
 from nodes.bus.keys import Kind
-from nodes.coordinator.ledger import Ledger
+from nodes.bus.ledger import Ledger
 from nodes.recording.reader import Row
 from nodes.recording.schemas import address_of, message_type_of
 

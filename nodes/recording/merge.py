@@ -10,7 +10,7 @@ from typing import BinaryIO
 from mcap.writer import CompressionType, Writer
 
 from nodes.bus.checks import Observation
-from nodes.coordinator.ledger import Ledger
+from nodes.bus.ledger import Ledger
 from nodes.recording.derived import Derivation, DerivedMessage, observation_of
 from nodes.recording.disk import sync_folder, writing
 from nodes.recording.folder_lock import FolderLock

@@ -65,7 +65,7 @@ sigma_m = 0.002
 
 [session]
 background_s = 4.0                      # of the empty room, at the beginning
-target_sigma_mm = 2.0                   # waving is enough when spots in the room are known to this
+target_sigma_mm = 2.0                   # waving is enough when every camera's centre is known to this
 min_waving_s = 20.0
 max_waving_s = 600.0
 tilts_deg = [2.0, 12.0, 23.0]           # of every LRF

@@ -72,7 +72,7 @@ class SessionConfig(_Strict):
 
     Attributes:
         background_s: the empty room, at the beginning.
-        target_sigma_mm: waving is enough when the predicted error of a spot in the room is so small.
+        target_sigma_mm: waving is enough when the centre of every camera is known to this, as predicted.
         min_waving_s: but not before.
         max_waving_s: and in any case then.
         tilts_deg: of every LRF, one after the other.

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from lrf_stereo.camera_array import TILE_PIXELS
 from lrf_stereo.noise import LrfNoise
-from lrf_stereo.projection import TILE_PIXELS, CalibrationCovariance, LrfProjector, project_lrf
+from lrf_stereo.projection import CalibrationCovariance, LrfProjector, project_lrf
 from lrf_stereo.scanner import ScanSteps, TiltingScanner
 from lrf_stereo.scanner_part import SCANNER_TANGENT, ScannerPart
 from network_calib.camera_parameters import N_PARAMETERS, CameraParameters

@@ -11,7 +11,7 @@ from nodes.bus.node import BusNode
 from nodes.bus.session import BusOptions
 from nodes.coordinator import asker
 from nodes.coordinator.ingest import Ingest
-from nodes.coordinator.ledger import Ledger
+from nodes.bus.ledger import Ledger
 from nodes.journal import Journal
 from tests.nodes.coordinator.fake_bus_node import (
     KEYS,

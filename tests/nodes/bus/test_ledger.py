@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes.coordinator.ledger import Gap, Ledger, Runs
+from nodes.bus.ledger import Gap, Ledger, Runs
 from nodes.coordinator.refusals import OTHERS, Refusals, Refused
 
 A, B = bytes(16), bytes([1] * 16)
