@@ -31,6 +31,7 @@ NAMES = (
     "rtsp_4k",
     "bus_latency",
     "bus_load",
+    "faults",
     "startup",
 )
 

@@ -21,8 +21,8 @@ from network_calib.observations import BoolArray, FloatArray, IntArray
 BALL_DIAMETER_M = 0.04
 # A beam with fewer ranges than this in all the background's scans has no background: whatever it sees is new.
 MIN_RANGES = 5
-# But for a wall at the limit of the scanner's reach, which comes and goes over many beams: so many ranges of so many
-# beams to either side are its background.
+# But for a wall at the limit of the scanner's reach, which comes and goes over many beams: ranges of so many among so
+# many beams to either side are its background.
 MIN_RARE, FADING_BEAMS = 3, 8
 # By how much a body looks wider than it is, each side and per metre of distance: an URG's beam is 10 mrad wide in all,
 # and sees a body that a quarter of it falls on.
@@ -70,7 +70,7 @@ class Background:
         for beam in np.flatnonzero(~is_known):
             around = unknown[:, max(beam - FADING_BEAMS, 0) : beam + FADING_BEAMS + 1]
             rare = around[np.isfinite(around)]
-            if len(rare) >= MIN_RARE:
+            if np.isfinite(around).any(axis=0).sum() >= MIN_RARE:
                 out[beam] = np.median(rare)
                 sigma[beam] = max(float((noise or LrfNoise()).range_m(out[beam])), float(np.std(rare)))
         return cls(out, sigma)

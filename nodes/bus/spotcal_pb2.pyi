@@ -363,27 +363,239 @@ class Calibration(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., id: _Optional[str] = ..., is_final: _Optional[bool] = ..., calibration_json: _Optional[bytes] = ...) -> None: ...
 
 class Projection(_message.Message):
-    __slots__ = ("header", "lrf", "camera", "calibration_id", "scan", "beam", "x_px", "y_px", "range_m", "sigma_px", "is_valid")
+    __slots__ = ("header", "lrf", "camera", "calibration_id", "scan", "stamp_ns", "first_step", "n_beams", "px", "range_m", "sigma_px", "is_valid", "step_s", "tilt_rad", "tilt_sigma_rad")
     HEADER_FIELD_NUMBER: _ClassVar[int]
     LRF_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
     SCAN_FIELD_NUMBER: _ClassVar[int]
-    BEAM_FIELD_NUMBER: _ClassVar[int]
-    X_PX_FIELD_NUMBER: _ClassVar[int]
-    Y_PX_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    FIRST_STEP_FIELD_NUMBER: _ClassVar[int]
+    N_BEAMS_FIELD_NUMBER: _ClassVar[int]
+    PX_FIELD_NUMBER: _ClassVar[int]
     RANGE_M_FIELD_NUMBER: _ClassVar[int]
     SIGMA_PX_FIELD_NUMBER: _ClassVar[int]
     IS_VALID_FIELD_NUMBER: _ClassVar[int]
+    STEP_S_FIELD_NUMBER: _ClassVar[int]
+    TILT_RAD_FIELD_NUMBER: _ClassVar[int]
+    TILT_SIGMA_RAD_FIELD_NUMBER: _ClassVar[int]
     header: Header
     lrf: str
     camera: str
     calibration_id: str
     scan: int
-    beam: _containers.RepeatedScalarFieldContainer[int]
-    x_px: _containers.RepeatedScalarFieldContainer[float]
-    y_px: _containers.RepeatedScalarFieldContainer[float]
-    range_m: _containers.RepeatedScalarFieldContainer[float]
-    sigma_px: _containers.RepeatedScalarFieldContainer[float]
-    is_valid: _containers.RepeatedScalarFieldContainer[bool]
-    def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., lrf: _Optional[str] = ..., camera: _Optional[str] = ..., calibration_id: _Optional[str] = ..., scan: _Optional[int] = ..., beam: _Optional[_Iterable[int]] = ..., x_px: _Optional[_Iterable[float]] = ..., y_px: _Optional[_Iterable[float]] = ..., range_m: _Optional[_Iterable[float]] = ..., sigma_px: _Optional[_Iterable[float]] = ..., is_valid: _Optional[_Iterable[bool]] = ...) -> None: ...
+    stamp_ns: int
+    first_step: int
+    n_beams: int
+    px: bytes
+    range_m: bytes
+    sigma_px: bytes
+    is_valid: bytes
+    step_s: float
+    tilt_rad: float
+    tilt_sigma_rad: float
+    def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., lrf: _Optional[str] = ..., camera: _Optional[str] = ..., calibration_id: _Optional[str] = ..., scan: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., first_step: _Optional[int] = ..., n_beams: _Optional[int] = ..., px: _Optional[bytes] = ..., range_m: _Optional[bytes] = ..., sigma_px: _Optional[bytes] = ..., is_valid: _Optional[bytes] = ..., step_s: _Optional[float] = ..., tilt_rad: _Optional[float] = ..., tilt_sigma_rad: _Optional[float] = ...) -> None: ...
+
+class Beams(_message.Message):
+    __slots__ = ("lrf", "range_m", "bearing_rad", "tilt_rad", "stamp_ns")
+    LRF_FIELD_NUMBER: _ClassVar[int]
+    RANGE_M_FIELD_NUMBER: _ClassVar[int]
+    BEARING_RAD_FIELD_NUMBER: _ClassVar[int]
+    TILT_RAD_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    lrf: str
+    range_m: bytes
+    bearing_rad: bytes
+    tilt_rad: bytes
+    stamp_ns: int
+    def __init__(self, lrf: _Optional[str] = ..., range_m: _Optional[bytes] = ..., bearing_rad: _Optional[bytes] = ..., tilt_rad: _Optional[bytes] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
+
+class LrfPoints(_message.Message):
+    __slots__ = ("lrf", "xyz_m", "tilt_rad", "stamp_ns")
+    LRF_FIELD_NUMBER: _ClassVar[int]
+    XYZ_M_FIELD_NUMBER: _ClassVar[int]
+    TILT_RAD_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    lrf: str
+    xyz_m: bytes
+    tilt_rad: bytes
+    stamp_ns: int
+    def __init__(self, lrf: _Optional[str] = ..., xyz_m: _Optional[bytes] = ..., tilt_rad: _Optional[bytes] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
+
+class WorldPoints(_message.Message):
+    __slots__ = ("xyz_m",)
+    XYZ_M_FIELD_NUMBER: _ClassVar[int]
+    xyz_m: bytes
+    def __init__(self, xyz_m: _Optional[bytes] = ...) -> None: ...
+
+class LrfNoise(_message.Message):
+    __slots__ = ("range_floor_m", "range_per_m", "bearing_rad", "tilt_rad")
+    RANGE_FLOOR_M_FIELD_NUMBER: _ClassVar[int]
+    RANGE_PER_M_FIELD_NUMBER: _ClassVar[int]
+    BEARING_RAD_FIELD_NUMBER: _ClassVar[int]
+    TILT_RAD_FIELD_NUMBER: _ClassVar[int]
+    range_floor_m: float
+    range_per_m: float
+    bearing_rad: float
+    tilt_rad: float
+    def __init__(self, range_floor_m: _Optional[float] = ..., range_per_m: _Optional[float] = ..., bearing_rad: _Optional[float] = ..., tilt_rad: _Optional[float] = ...) -> None: ...
+
+class CovarianceOf(_message.Message):
+    __slots__ = ("is_calibration_exact", "is_measurement_exact", "noise", "point_sigma_m")
+    IS_CALIBRATION_EXACT_FIELD_NUMBER: _ClassVar[int]
+    IS_MEASUREMENT_EXACT_FIELD_NUMBER: _ClassVar[int]
+    NOISE_FIELD_NUMBER: _ClassVar[int]
+    POINT_SIGMA_M_FIELD_NUMBER: _ClassVar[int]
+    is_calibration_exact: bool
+    is_measurement_exact: bool
+    noise: LrfNoise
+    point_sigma_m: float
+    def __init__(self, is_calibration_exact: _Optional[bool] = ..., is_measurement_exact: _Optional[bool] = ..., noise: _Optional[_Union[LrfNoise, _Mapping]] = ..., point_sigma_m: _Optional[float] = ...) -> None: ...
+
+class ProjectRequest(_message.Message):
+    __slots__ = ("calibration_id", "cameras", "covariance", "beams", "lrf_points", "world_points")
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    CAMERAS_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    BEAMS_FIELD_NUMBER: _ClassVar[int]
+    LRF_POINTS_FIELD_NUMBER: _ClassVar[int]
+    WORLD_POINTS_FIELD_NUMBER: _ClassVar[int]
+    calibration_id: str
+    cameras: _containers.RepeatedScalarFieldContainer[str]
+    covariance: CovarianceOf
+    beams: Beams
+    lrf_points: LrfPoints
+    world_points: WorldPoints
+    def __init__(self, calibration_id: _Optional[str] = ..., cameras: _Optional[_Iterable[str]] = ..., covariance: _Optional[_Union[CovarianceOf, _Mapping]] = ..., beams: _Optional[_Union[Beams, _Mapping]] = ..., lrf_points: _Optional[_Union[LrfPoints, _Mapping]] = ..., world_points: _Optional[_Union[WorldPoints, _Mapping]] = ...) -> None: ...
+
+class ProjectReply(_message.Message):
+    __slots__ = ("calibration_id", "cameras", "n_points", "px", "is_valid", "depth_m", "covariance_px2", "tilt_rad")
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    CAMERAS_FIELD_NUMBER: _ClassVar[int]
+    N_POINTS_FIELD_NUMBER: _ClassVar[int]
+    PX_FIELD_NUMBER: _ClassVar[int]
+    IS_VALID_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_PX2_FIELD_NUMBER: _ClassVar[int]
+    TILT_RAD_FIELD_NUMBER: _ClassVar[int]
+    calibration_id: str
+    cameras: _containers.RepeatedScalarFieldContainer[str]
+    n_points: int
+    px: bytes
+    is_valid: bytes
+    depth_m: bytes
+    covariance_px2: bytes
+    tilt_rad: bytes
+    def __init__(self, calibration_id: _Optional[str] = ..., cameras: _Optional[_Iterable[str]] = ..., n_points: _Optional[int] = ..., px: _Optional[bytes] = ..., is_valid: _Optional[bytes] = ..., depth_m: _Optional[bytes] = ..., covariance_px2: _Optional[bytes] = ..., tilt_rad: _Optional[bytes] = ...) -> None: ...
+
+class Pixels(_message.Message):
+    __slots__ = ("camera", "px")
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    PX_FIELD_NUMBER: _ClassVar[int]
+    camera: str
+    px: bytes
+    def __init__(self, camera: _Optional[str] = ..., px: _Optional[bytes] = ...) -> None: ...
+
+class Plane(_message.Message):
+    __slots__ = ("normal_x", "normal_y", "normal_z", "offset")
+    NORMAL_X_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_Y_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_Z_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_FIELD_NUMBER: _ClassVar[int]
+    normal_x: float
+    normal_y: float
+    normal_z: float
+    offset: float
+    def __init__(self, normal_x: _Optional[float] = ..., normal_y: _Optional[float] = ..., normal_z: _Optional[float] = ..., offset: _Optional[float] = ...) -> None: ...
+
+class FloorPixels(_message.Message):
+    __slots__ = ("pixels", "sigma_px", "plane")
+    PIXELS_FIELD_NUMBER: _ClassVar[int]
+    SIGMA_PX_FIELD_NUMBER: _ClassVar[int]
+    PLANE_FIELD_NUMBER: _ClassVar[int]
+    pixels: Pixels
+    sigma_px: float
+    plane: Plane
+    def __init__(self, pixels: _Optional[_Union[Pixels, _Mapping]] = ..., sigma_px: _Optional[float] = ..., plane: _Optional[_Union[Plane, _Mapping]] = ...) -> None: ...
+
+class SeenPixels(_message.Message):
+    __slots__ = ("pixels", "sigma_px")
+    PIXELS_FIELD_NUMBER: _ClassVar[int]
+    SIGMA_PX_FIELD_NUMBER: _ClassVar[int]
+    pixels: _containers.RepeatedCompositeFieldContainer[Pixels]
+    sigma_px: float
+    def __init__(self, pixels: _Optional[_Iterable[_Union[Pixels, _Mapping]]] = ..., sigma_px: _Optional[float] = ...) -> None: ...
+
+class LocateRequest(_message.Message):
+    __slots__ = ("calibration_id", "rays", "floor", "triangulated")
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    RAYS_FIELD_NUMBER: _ClassVar[int]
+    FLOOR_FIELD_NUMBER: _ClassVar[int]
+    TRIANGULATED_FIELD_NUMBER: _ClassVar[int]
+    calibration_id: str
+    rays: Pixels
+    floor: FloorPixels
+    triangulated: SeenPixels
+    def __init__(self, calibration_id: _Optional[str] = ..., rays: _Optional[_Union[Pixels, _Mapping]] = ..., floor: _Optional[_Union[FloorPixels, _Mapping]] = ..., triangulated: _Optional[_Union[SeenPixels, _Mapping]] = ...) -> None: ...
+
+class LocateReply(_message.Message):
+    __slots__ = ("calibration_id", "n_points", "is_valid", "origin_m", "direction", "xyz_m", "covariance_m2")
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    N_POINTS_FIELD_NUMBER: _ClassVar[int]
+    IS_VALID_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_M_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    XYZ_M_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_M2_FIELD_NUMBER: _ClassVar[int]
+    calibration_id: str
+    n_points: int
+    is_valid: bytes
+    origin_m: bytes
+    direction: bytes
+    xyz_m: bytes
+    covariance_m2: bytes
+    def __init__(self, calibration_id: _Optional[str] = ..., n_points: _Optional[int] = ..., is_valid: _Optional[bytes] = ..., origin_m: _Optional[bytes] = ..., direction: _Optional[bytes] = ..., xyz_m: _Optional[bytes] = ..., covariance_m2: _Optional[bytes] = ...) -> None: ...
+
+class BearingsRequest(_message.Message):
+    __slots__ = ("calibration_id", "lrf", "xyz_m", "tilt_rad", "stamp_ns")
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    LRF_FIELD_NUMBER: _ClassVar[int]
+    XYZ_M_FIELD_NUMBER: _ClassVar[int]
+    TILT_RAD_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    calibration_id: str
+    lrf: str
+    xyz_m: bytes
+    tilt_rad: bytes
+    stamp_ns: int
+    def __init__(self, calibration_id: _Optional[str] = ..., lrf: _Optional[str] = ..., xyz_m: _Optional[bytes] = ..., tilt_rad: _Optional[bytes] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
+
+class BearingsReply(_message.Message):
+    __slots__ = ("calibration_id", "lrf", "n_points", "bearing_rad", "range_m", "out_of_plane_m", "step", "is_seen")
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    LRF_FIELD_NUMBER: _ClassVar[int]
+    N_POINTS_FIELD_NUMBER: _ClassVar[int]
+    BEARING_RAD_FIELD_NUMBER: _ClassVar[int]
+    RANGE_M_FIELD_NUMBER: _ClassVar[int]
+    OUT_OF_PLANE_M_FIELD_NUMBER: _ClassVar[int]
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    IS_SEEN_FIELD_NUMBER: _ClassVar[int]
+    calibration_id: str
+    lrf: str
+    n_points: int
+    bearing_rad: bytes
+    range_m: bytes
+    out_of_plane_m: bytes
+    step: bytes
+    is_seen: bytes
+    def __init__(self, calibration_id: _Optional[str] = ..., lrf: _Optional[str] = ..., n_points: _Optional[int] = ..., bearing_rad: _Optional[bytes] = ..., range_m: _Optional[bytes] = ..., out_of_plane_m: _Optional[bytes] = ..., step: _Optional[bytes] = ..., is_seen: _Optional[bytes] = ...) -> None: ...
+
+class ErrorReply(_message.Message):
+    __slots__ = ("code", "message", "detail")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    DETAIL_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    message: str
+    detail: str
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., detail: _Optional[str] = ...) -> None: ...

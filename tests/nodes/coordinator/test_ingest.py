@@ -7,11 +7,11 @@ import pytest
 
 from nodes.bus import spotcal_pb2 as pb
 from nodes.bus.keys import Kind, Role
+from nodes.bus.ledger import Ledger
 from nodes.bus.node import BusNode
 from nodes.bus.session import BusOptions
 from nodes.coordinator import asker
 from nodes.coordinator.ingest import Ingest
-from nodes.bus.ledger import Ledger
 from nodes.journal import Journal
 from tests.nodes.coordinator.fake_bus_node import (
     KEYS,
