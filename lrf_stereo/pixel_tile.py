@@ -79,7 +79,7 @@ class LensGroup:
             covariance=matrix,
         )
 
-    def take(self, rows: slice) -> LensGroup:
+    def take(self, rows: slice | IntArray) -> LensGroup:
         """Some of the cameras."""
         return replace(
             self,

@@ -20,7 +20,7 @@ from network_calib.candidates import Candidates
 from network_calib.choose import CHOICE_SEED, choose
 from network_calib.errors import InputError
 from network_calib.formats.recording import Recording, digest
-from network_calib.observations import FloatArray, IntArray
+from network_calib.observations import FloatArray, IntArray, Observations
 from network_calib.result import Calibration
 from network_calib.room_setup import CameraSetup
 from nodes.camera.camera_detections import CameraDetections
@@ -105,7 +105,7 @@ def prepare(data: SessionData, room: RoomConfig) -> Prepared:
     recording = _recording(data.session, seeing, matched)
     only = _only(room, {camera.name for camera in seeing})
     resolved = resolve(recording, only)
-    lrfs, lrf_notes = _lrfs(data.lrfs, room, *_instants(seeing, matched))
+    lrfs, lrf_notes = _lrfs(data.lrfs, room, *_located_instants(recording.observations))
     blind = [f"{camera.name}: saw no spot; left out" for camera in data.cameras if not camera.n_seen]
     notes = (*_gap_notes(data), *blind, *resolved.notes, *lrf_notes)
     return Prepared(resolved, lrfs, data.session, recording.sha256, notes)
@@ -115,7 +115,7 @@ def _gap_notes(data: SessionData) -> list[str]:
     """What the recording lacks or had refused."""
     lost: dict[str, int] = {}
     for rows in data.missing:
-        lost[rows.node] = lost.get(rows.node, 0) + rows.last - rows.first + 1
+        lost[rows.node] = lost.get(rows.node, 0) + rows.n_rows
     notes = [f"{node}: {n} of its messages are not in the recording" for node, n in sorted(lost.items())]
     if data.refused:
         told = ", ".join(f"{reason} ({n})" for reason, n in data.refused.most_common(3))
@@ -148,13 +148,17 @@ def _recording(session: str, cameras: Sequence[CameraDetections], matched: Match
     )
 
 
-def _instants(cameras: Sequence[CameraDetections], matched: Matched) -> tuple[IntArray, IntArray]:
-    """(F,) frame numbers and (F,) stamps of all instants, growing; a frame's stamp is its earliest camera's."""
-    frame = np.concatenate(matched.frames)
-    stamp_ns = np.concatenate([camera.stamp_ns for camera in cameras])
-    order = np.lexsort((stamp_ns, frame))
-    numbers, first = np.unique(frame[order], return_index=True)
-    return numbers, stamp_ns[order][first]
+def _located_instants(observations: Observations) -> tuple[IntArray, IntArray]:
+    """(F,) numbers and (F,) stamps, growing, of the frames in which two cameras or more saw the spot.
+
+    A frame's stamp is its earliest camera's.
+    """
+    seen = observations.in_frames_with_views(2)
+    if seen.stamp_ns is None:
+        return seen.frame[:0], seen.frame[:0]
+    order = np.lexsort((seen.stamp_ns, seen.frame))
+    numbers, first = np.unique(seen.frame[order], return_index=True)
+    return numbers, seen.stamp_ns[order][first]
 
 
 def _lrfs(
@@ -165,6 +169,8 @@ def _lrfs(
     whole = [record for record in records if len(record.angle_rad) and len(record.spots)]
     if not whole:
         return None, notes
+    if not len(frames):
+        return None, (*notes, "the cameras' stamps are no clock's, so the LRFs' crossings cannot join them; left out")
     # Seconds from the first frame: a double holds those of the epoch to a quarter of a microsecond only.
     begin_ns = int(stamps_ns[0])
     stamps_s = (stamps_ns - begin_ns) / 1e9

@@ -119,13 +119,18 @@ class ClockFit:
         self._bounds.append(bounds)
         self._line = None
 
+    @property
+    def is_known(self) -> bool:
+        """Anything arrived, or was answered."""
+        return bool(self._arrivals or self._bounds)
+
     def line(self) -> ClockLine:
         """The line as known now.
 
         Raises:
             ValueError: nothing is known.
         """
-        if not self._arrivals and not self._bounds:
+        if not self.is_known:
             raise ValueError("no arrivals to fit a clock to")
         newest_s, n = (self._arrivals or self._bounds)[-1][0], len(self._arrivals)
         # In its first seconds a clock gains from every message.

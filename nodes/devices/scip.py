@@ -106,6 +106,7 @@ class Scip:
         self._info: ScannerInfo | None = None
         self._request: str | None = None
         self._time, self._fit = SensorTime(), ClockFit()
+        self._before: ClockLine | None = None
         self._last: Scan | None = None
         # A sensor that was switched off counts from 0 again: only stamps of one run tell turns.
         self._is_same_run = False
@@ -129,7 +130,7 @@ class Scip:
     @property
     def clock_gain(self) -> float | None:
         """Sensor seconds per second of this machine; None before the first scan."""
-        return 1 / self._fit.line().gain if self._counts.scans else None
+        return 1 / self._fit.line().gain if self._fit.is_known else None
 
     def start(self) -> ScannerInfo:
         """Bring the scanner into SCIP 2, read what it is and its clock, let it scan.
@@ -321,8 +322,9 @@ class Scip:
     def _learn_clock(self) -> None:
         """Begin the fit anew: the sensor may have been switched off and on, and counts from 0 then."""
         turn_s = self.info.steps.turn_s
-        before = self._fit.line() if self._counts.scans else None
-        self._fit = _fit_like(before, turn_s)
+        if self._fit.is_known:
+            self._before = self._fit.line()
+        self._fit = _fit_like(self._before, turn_s)
         self._time, self._is_same_run = SensorTime(), False
         self._resync_wait_s = RESYNC_FIRST_S
         self._ask_clock()

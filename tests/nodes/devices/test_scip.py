@@ -187,6 +187,21 @@ def test_stream_that_stopped_is_asked_for_again():
     assert len(scans) > 150
 
 
+def test_two_restarts_without_any_answer_on_the_clock_keep_what_was_known_of_its_drift(monkeypatch):
+    scanner, _, clock = connected()
+    collect(scanner, clock, 20.0)
+    gain = scanner.clock_gain
+    with monkeypatch.context() as patch:
+        patch.setattr("nodes.devices.scip.exchange_times", lambda *_, **__: [])
+        scanner._restart()
+        scanner._restart()
+        assert scanner.clock_gain is None
+    scans = collect(scanner, clock, 2.0)
+    assert scans
+    # Two seconds tell a drift to 1 ms / 2 s at best; what is known from before holds it much better.
+    assert scanner.clock_gain == pytest.approx(gain, abs=1e-4)
+
+
 def test_laser_fault_is_said_and_not_mistaken_for_silence():
     clock = VirtualClock()
     scanner = Scip(LoopbackTransport(ScipDevice(room(), laser_faults_at_s=(8.0,)), clock), clock=clock)
