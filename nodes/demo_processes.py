@@ -10,9 +10,9 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 
+from nodes.closing import Closing
 from nodes.devices.errors import DeviceError
 
 ENDING_S = 6.0
@@ -52,7 +52,7 @@ class Child:
             self._echo.join(timeout=ENDING_S)
 
 
-class Children:
+class Children(Closing):
     """All programs, each in a process group of its own; `with` ends them.
 
     Args:
@@ -116,14 +116,6 @@ class Children:
         for child in self._all:
             child.join()
         self._all.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _tee(source: IO[bytes], log: Path, echo: Callable[[str], None]) -> None:

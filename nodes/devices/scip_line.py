@@ -72,8 +72,8 @@ class ScipLine:
 
     def quiet(self) -> None:
         """Stop whatever it does, and throw away what is still on the way."""
-        # The first LF ends a half command that somebody left.
-        self.transport.write(b"\nQT\n")
+        # LF ends a half command that somebody left, and TM2 the asking for its clock, in which it refuses all else.
+        self.transport.write(b"\nQT\nTM2\n")
         end_s = self._clock() + REPLY_TIMEOUT_S
         while self.transport.read(SETTLE_S) and self._clock() < end_s:
             pass

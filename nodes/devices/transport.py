@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 from urllib.parse import urlsplit
 
 from network_calib.errors import InputError
+from nodes.closing import Closing
 from nodes.devices.errors import DeviceError, LineLostError
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def open_transport(address: str, *, baud: int, default_port: int | None = None) 
     return TcpTransport(host, port)
 
 
-class SerialTransport:
+class SerialTransport(Closing):
     """A serial port, locked against a second client."""
 
     def __init__(self, path: str, *, baud: int) -> None:
@@ -130,16 +131,8 @@ class SerialTransport:
         """See `Transport`."""
         self._port.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class TcpTransport:
+class TcpTransport(Closing):
     """A TCP connection."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -179,14 +172,6 @@ class TcpTransport:
     def close(self) -> None:
         """See `Transport`."""
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _not_opened(path: str, error: OSError) -> DeviceError:

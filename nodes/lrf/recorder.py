@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self, TextIO
+from typing import Protocol, TextIO
 
 from network_calib.errors import InputError
+from nodes.closing import Closing
 from nodes.devices.mti import ImuSample
 from nodes.devices.scip import Scan
 
@@ -50,7 +50,7 @@ class NullRecorder:
         """See `Recorder`."""
 
 
-class JsonlRecorder:
+class JsonlRecorder(Closing):
     """Writes `scans.jsonl`, `imu.jsonl` and `events.jsonl` (moves, phases, losses) into a folder.
 
     A recording that is cut off anywhere is whole up to its last line. Times are seconds on the node's clock.
@@ -101,11 +101,3 @@ class JsonlRecorder:
         file = self._files[name]
         file.write(json.dumps(record, separators=(",", ":")) + "\n")
         file.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

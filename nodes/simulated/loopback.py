@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
+from nodes.closing import Closing
 from nodes.devices.errors import LineLostError
 from nodes.devices.transport import MAX_READ_BYTES
 from nodes.simulated.emulator import Emulator
@@ -29,7 +28,7 @@ class VirtualClock:
         self.now_s += max(duration_s, 0.0)
 
 
-class LoopbackTransport:
+class LoopbackTransport(Closing):
     """The client's end of a line to an emulator; reading lets the clock run to the next byte or the timeout."""
 
     def __init__(self, emulator: Emulator, clock: VirtualClock, *, faults: LineFaults | None = None) -> None:
@@ -78,11 +77,3 @@ class LoopbackTransport:
         if not self._is_open or (self._faults is not None and self._faults.is_unplugged(self._clock())):
             self.close()
             raise LineLostError(f"{self.name}: the device is gone")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

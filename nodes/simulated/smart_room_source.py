@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
+from nodes.closing import Closing
 from nodes.devices.cameras.tally import FrameTally
 from nodes.devices.errors import SourceError
 from nodes.frames import Frame, SourceCounts
@@ -16,7 +15,7 @@ from nodes.simulated.rendering.rendered_camera import RenderedCamera
 LONGEST_SLEEP_S = 0.1
 
 
-class SmartRoomSource:
+class SmartRoomSource(Closing):
     """Frames on the world's common grid: frame k is exposed at start_s + k / rate, and comes half an exposure later.
 
     Args:
@@ -76,14 +75,6 @@ class SmartRoomSource:
     def close(self) -> None:
         """End every iteration at its next frame."""
         self._is_closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _wait(self) -> bool:
         """Wait for the next frame; False when the source was closed."""

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from network_calib.errors import InputError
+from nodes.closing import Closing
 from nodes.devices.cameras.image_names import NumberedImage, Numbering, numbered_images
 from nodes.devices.cameras.image_read import DamagedImageError, read_image
 from nodes.devices.cameras.source_info import SourceInfo
@@ -60,7 +59,7 @@ class ImageOptions:
             raise InputError(f"images: rate_hz = {self.rate_hz}, expected a number > 0")
 
 
-class ImageFolder:
+class ImageFolder(Closing):
     """Images of one camera, one file a frame, read one after the other. Every iteration starts at the first.
 
     `sequence` is the number in the file's name; where all numbers step by more than one, the common step is no loss.
@@ -187,14 +186,6 @@ class ImageFolder:
     def close(self) -> None:
         """End every iteration at its next frame."""
         self._is_closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _stamps(

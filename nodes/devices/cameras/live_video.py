@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
 from network_calib.errors import InputError
+from nodes.closing import Closing
 from nodes.devices.cameras.capture_thread import CaptureThread, Surroundings
 from nodes.devices.cameras.connection import Connection
 from nodes.devices.cameras.live_options import LiveOptions
@@ -42,7 +41,7 @@ def open_live(address: str, options: LiveOptions | None = None) -> FrameSource:
     )
 
 
-class LiveVideo:
+class LiveVideo(Closing):
     """A live camera behind the seam of `nodes.frames.FrameSource`.
 
     Args:
@@ -101,14 +100,6 @@ class LiveVideo:
     def close(self) -> None:
         """Give the camera back; takes up to the time-out when the camera stalls."""
         self._capture.stop(wait_s=self._options.timeout_s + _CLOSING_S)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"LiveVideo({self._name!r}, {self.counts})"

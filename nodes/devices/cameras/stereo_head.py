@@ -12,9 +12,8 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
+from nodes.closing import Closing
 from nodes.devices.cameras.source_info import SourceInfo, describe
 from nodes.devices.cameras.stereo_split import StereoLayout, layout_fault, split_image
 from nodes.devices.cameras.tally import FrameTally
@@ -24,7 +23,7 @@ from nodes.frames import Frame, FrameSource, SourceCounts
 N_WAITING = 8
 
 
-class StereoHead:
+class StereoHead(Closing):
     """Both views of a stereo head that sends them through one source. It owns the source.
 
     Both views of one instant carry the same sequence and stamp. For ALTERNATING these are half the sequence of the
@@ -145,16 +144,8 @@ class StereoHead:
         """Give the device back; further calls do nothing."""
         self._source.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-class StereoView:
+class StereoView(Closing):
     """One view of a stereo head as a frame source. When both are closed, the head's source is."""
 
     def __init__(self, head: StereoHead, side: int) -> None:
@@ -204,14 +195,6 @@ class StereoView:
         """End the iteration at its next frame."""
         self._is_closed = True
         self._head.close_view(self._side)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def split_stereo(

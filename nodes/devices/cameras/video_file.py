@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import av
 
 from network_calib.errors import InputError
+from nodes.closing import Closing
 from nodes.devices.cameras.source_info import SourceInfo
 from nodes.devices.cameras.stamp_table import VideoStamps, check_row_count, read_video_stamps, video_table_beside
 from nodes.devices.cameras.tally import FrameTally
@@ -22,7 +21,7 @@ from nodes.devices.errors import SourceError
 from nodes.frames import Frame, SourceCounts, StampOrigin
 
 
-class VideoFile:
+class VideoFile(Closing):
     """A recorded video. Every iteration starts at its beginning; several at once do not disturb each other.
 
     Stamps are the presentation times of the file (origin FILE) in ns, or those of a stamp table beside it (TABLE), or
@@ -136,14 +135,6 @@ class VideoFile:
     def close(self) -> None:
         """End every iteration at its next frame."""
         self._is_closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _n_left_out(pictures: PicturePass) -> int:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from network_calib.errors import InputError
+from nodes.closing import Closing
 from nodes.devices.errors import SourceError
 from nodes.frames import Frame, FrameSource, SourceCounts
 from nodes.simulated.rendering.video_codec import VideoCodec, picture_of, rate_fraction
@@ -21,7 +21,7 @@ DEFAULT_RATE_HZ = 25.0
 KEY_PICTURE_S = 2.0
 
 
-class CompressedSource:
+class CompressedSource(Closing):
     """Encodes each frame of a source in memory at a given bit rate, decodes it, and delivers what came out.
 
     Frames are YUV420 as a decoder gives them; sequence, stamp and settings are those of the frame that went in, so the
@@ -113,11 +113,3 @@ class CompressedSource:
     def close(self) -> None:
         """Close the source."""
         self._source.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
+from nodes.closing import Closing
 from nodes.devices.cameras.tally import FrameTally
 from nodes.devices.errors import SourceError
 from nodes.frames import Frame, SourceCounts
 from nodes.simulated.rendering.rendered_camera import RenderedCamera
 
 
-class RenderedSource:
+class RenderedSource(Closing):
     """The frames of one rendered camera.
 
     Without a clock it is a recording: every iteration starts at the first frame. With one it is live: a frame comes
@@ -96,11 +95,3 @@ class RenderedSource:
     def close(self) -> None:
         """End every iteration at its next frame."""
         self._is_closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
