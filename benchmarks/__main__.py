@@ -31,6 +31,8 @@ NAMES = (
     "rtsp_4k",
     "bus_latency",
     "bus_load",
+    "projection_service",
+    "projection_stream",
     "faults",
     "startup",
 )

@@ -12,7 +12,10 @@ The paper is Aliakbarpour, Núñez, Prado, Khoshhal, Dias, "An Efficient Algorit
     V       joint maximum likelihood with all cameras                              calibrate.py, network.py, refine.py,
                                                                                    joint_problem.py, lrf_block.py
             the clock of the scan: the spot moves between exposure and beam        spot_motion.py, sighting_block.py
-    14      laser points into every camera, with covariance                        projection.py (beams.py, pixel_*.py)
+    14      laser points into every camera, with covariance                        projection.py (beams.py, pixel_*.py,
+                                                                                   camera_array.py)
+            which cameras can see a scan at all                                    frustums.py (view_bounds.py)
+            and back: which beams meet a point                                     plane_beams.py
 
 Deliberate deviations of the joint method, with the reason:
     - one latent spot is shared by all cameras and LRFs, instead of triangulating first and registering then: the

@@ -14,7 +14,9 @@ from network_calib.cameras import Cameras
 from network_calib.observations import BoolArray, FloatArray, IntArray
 
 # Pixels in one tile: enough to make NumPy's overhead small, few enough for the second-level cache.
-TILE_PIXELS = 4096
+TILE_PIXELS = 16384
+# Choices of cameras that are kept prepared: a few for each LRF of a room.
+MAX_KEPT = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +99,7 @@ class CameraArray:
         """Prepare C cameras; covariances (C, 14, 14), and (C, 14, 15) with the scanner's, as `LensGroup` takes them."""
         self._n_cameras = len(cameras)
         self._groups = tuple(_lens_groups(cameras, covariance, camera_scanner))
-        self._some: tuple[bytes, tuple[tuple[LensGroup, IntArray], ...]] = b"", ()
+        self._some: dict[bytes, tuple[tuple[LensGroup, IntArray], ...]] = {}
         self._work = np.empty(0)
 
     def __len__(self) -> int:
@@ -111,7 +113,8 @@ class CameraArray:
         with np.errstate(all="ignore"):  # what is behind a camera or overflows is not finite, and reported as invalid
             for group, members in groups:
                 for rows, columns in _tiles(len(members), points.shape[1]):
-                    tile = Tile.of(group.take(rows), points[:, columns])
+                    is_whole = rows.stop - rows.start >= len(members)
+                    tile = Tile.of(group if is_whole else group.take(rows), points[:, columns])
                     sheet.put(tile, members[rows], columns)
                     if spread is not None:
                         pixels = ValidPixels.of(tile)
@@ -122,9 +125,11 @@ class CameraArray:
     def _groups_of(self, cameras: IntArray) -> tuple[tuple[LensGroup, IntArray], ...]:
         """The lens groups of some cameras; kept, for the next scan mostly is seen by the same."""
         key = np.ascontiguousarray(cameras, dtype=np.int64).tobytes()
-        if key != self._some[0]:
-            self._some = key, tuple(_some_of(self._groups, cameras))
-        return self._some[1]
+        if key not in self._some:
+            if len(self._some) >= MAX_KEPT:
+                del self._some[next(iter(self._some))]
+            self._some[key] = tuple(_some_of(self._groups, cameras))
+        return self._some[key]
 
     def _memory(self, size: int) -> FloatArray:
         """Numbers to overwrite, kept from one tile to the next."""

@@ -87,18 +87,19 @@ class FrustumIndex:
         # The corner of a box that lies farthest inwards.
         depth = normals @ boxes.middle.T + np.abs(normals) @ boxes.half.T
         slack = self._slack(boxes.middle)
-        is_in = (depth.reshape(len(self), 4, -1) >= self.offsets[:, :, None] - slack).all(axis=1)
+        is_in = np.all(depth.reshape(len(self), 4, len(boxes.half)) >= self.offsets[:, :, None] - slack, axis=1)
         if np.isfinite(self.max_distance_m):
             beyond = np.abs(boxes.middle - self.centres[:, None]) - boxes.half
             distance = np.linalg.norm(np.maximum(beyond, 0.0), axis=2)
             is_in &= distance <= self.max_distance_m + slack
-        return is_in.any(axis=1)
+        return np.asarray(np.any(is_in, axis=1))
 
     def _may_see_balls(self, centre: FloatArray, radius_m: float) -> BoolArray:
         """(C,) whether a ball reaches into the view."""
         slack = self._slack(centre)
-        is_in = (self.normals @ centre + radius_m >= self.offsets - slack).all(axis=1)
-        return is_in & (np.linalg.norm(self.centres - centre, axis=1) <= self.max_distance_m + radius_m + slack)
+        is_in = np.all(self.normals @ centre + radius_m >= self.offsets - slack, axis=1)
+        distance = np.linalg.norm(self.centres - centre, axis=1)
+        return np.asarray(is_in & (distance <= self.max_distance_m + radius_m + slack))
 
     def _slack(self, points: FloatArray) -> float:
         return SLACK * (1 + float(np.abs(points).max()) + float(np.abs(self.centres).max(initial=0.0)))

@@ -24,6 +24,11 @@ class Brown:
         return terms if terms[2:].any() else terms[:2]
 
     @staticmethod
+    def is_bent(terms: FloatArray) -> bool:
+        """Whether the image is not the same all around the axis."""
+        return len(terms) == 4
+
+    @staticmethod
     def distorted(terms: FloatArray, u: FloatArray, v: FloatArray, r2: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distorted coordinates of x/z, y/z, with r2 = u^2 + v^2."""
         k1, k2 = terms[:2]
@@ -85,6 +90,12 @@ class KannalaBrandt:
     def needed(terms: FloatArray) -> FloatArray:
         """All terms."""
         return terms
+
+    @staticmethod
+    def is_bent(terms: FloatArray) -> bool:
+        """Never: only the radius is distorted."""
+        del terms
+        return False
 
     @staticmethod
     def distorted(terms: FloatArray, u: FloatArray, v: FloatArray, r2: FloatArray) -> tuple[FloatArray, FloatArray]:

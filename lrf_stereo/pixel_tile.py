@@ -151,6 +151,10 @@ class Tile:
         px[1] += group.centre_y
         # Comparisons with NaN are false: what is behind fails here.
         is_valid = r2 < group.fold_r2
+        if group.lens.is_bent(group.terms):
+            # Tangential terms fold an image a little before its radius does, to one side.
+            xx, xy, yy = group.lens.slope(group.terms, u, v, r2)
+            is_valid &= xx * yy > xy * xy
         for along, end in zip(px, group.end, strict=True):
             is_valid &= along >= -0.5
             is_valid &= along <= end

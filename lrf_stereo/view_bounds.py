@@ -1,28 +1,27 @@
 """How far to each side a camera sees: bounds that no valid pixel's ray exceeds, whatever the distortion.
 
-The rays of a camera are cut into cells of angle off the axis x azimuth. Over a cell the radial part of the distortion
-lies between its values at the cell's ends, for it grows up to where the lens folds back; the tangential part p1, p2
-moves a point by no more than 3 |p| r^2. So each cell's pixels lie in a rectangle, and a cell whose rectangle misses the
-image holds no valid pixel: intervals, not samples, so that nothing falls between.
+Up to where the lens folds back, the radial part of the distortion maps rays to the image one to one, so the rays that
+reach farthest to a side belong to the image's border. The border is cut into short pieces; over a piece, radius and
+azimuth lie between bounds, and so does the angle to the side: intervals, not samples, so that nothing falls between.
+The tangential part p1, p2 moves a point by no more than 3 |p| r^2; the border is moved outwards by as much.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from lrf_stereo.lens_arrays import Brown, KannalaBrandt
 from network_calib.cameras import Cameras
-from network_calib.observations import BoolArray, FloatArray
+from network_calib.observations import FloatArray
 
-# Cells along the way from the axis outwards: first over 90 degrees, then between the first and last ring that matter.
-N_RINGS, N_FINE_RINGS, N_SECTORS = 128, 24, 48
-# Left, right, up, down.
+# Right, down, left, up in the image: azimuths from x towards y.
 SIDES_RAD = np.pi / 2 * np.arange(4)
-# Cameras bounded at once: their cells stay below some 10 MB.
-CHUNK = 64
-# Widens each cell's rectangle against rounding, in units of the focal length.
+# A piece is a 128th of a side of the image, a ring at most 90 / 256 degrees: together some 0.7 degrees too much.
+N_PIECES, N_RINGS = 128, 256
+# Moves the border outwards against rounding, in units of the focal length.
 SLACK = 1e-9
 
 
@@ -30,115 +29,124 @@ def side_bounds(cameras: Cameras) -> FloatArray:
     """(C, 4) largest angle of a valid pixel's ray towards each of SIDES_RAD, rad, up to pi/2.
 
     The angle towards a side is that of the ray's projection onto the plane of the axis and the side; it is negative
-    where the whole image lies on the other side, and -pi/2 where no ray meets the image.
+    where the whole image lies on the other side.
     """
-    chunks = [np.arange(begin, min(begin + CHUNK, len(cameras))) for begin in range(0, len(cameras), CHUNK)]
-    out = np.empty((len(cameras), len(SIDES_RAD)))
-    for members in chunks:
-        lenses = _Lenses.of(cameras, members)
-        with np.errstate(all="ignore"):  # at 90 degrees the tangent may overflow; infinite bounds are bounds
-            out[members] = _bounds(lenses)
-    return out
+    folds_rad = _folds_rad(cameras)
+    with np.errstate(all="ignore"):  # at 90 degrees the tangent may overflow; infinite bounds are bounds
+        return np.stack([_bounds(lens) for lens in _lenses(cameras, folds_rad)])
 
 
 @dataclass(frozen=True, slots=True)
-class _Lenses:
-    """c lenses; the image's sides in distorted coordinates, (c,) each, and the angle where the lens folds back."""
+class _Lens:
+    """One lens.
 
-    is_fisheye: BoolArray
+    Attributes:
+        is_fisheye: which of the two models.
+        terms: (4,) distortion.
+        low: (2,) left and upper end of the image in distorted coordinates.
+        high: (2,) right and lower end.
+        fold_rad: angle off the axis where the lens folds back, at most 90 degrees.
+    """
+
+    is_fisheye: bool
     terms: FloatArray
-    left: FloatArray
-    right: FloatArray
-    top: FloatArray
-    bottom: FloatArray
-    fold_rad: FloatArray
+    low: FloatArray
+    high: FloatArray
+    fold_rad: float
 
-    @classmethod
-    def of(cls, cameras: Cameras, members: np.ndarray) -> _Lenses:
-        focal_x, focal_y, centre_x, centre_y, *_ = rows = cameras.intrinsics[members].T
-        width, height = cameras.size_px[members].T
-        terms, is_fisheye = rows[4:], cameras.is_fisheye[members]
-        columns = terms[:, :, None]
-        # The tile's own folds, so that both agree about what is valid.
-        fold_r2 = np.where(is_fisheye, KannalaBrandt.fold_r2(columns), Brown.fold_r2(columns))
-        return cls(
-            is_fisheye=is_fisheye,
-            terms=terms,
-            left=(-0.5 - centre_x) / focal_x - SLACK,
-            right=(width - 0.5 - centre_x) / focal_x + SLACK,
-            top=(-0.5 - centre_y) / focal_y - SLACK,
-            bottom=(height - 0.5 - centre_y) / focal_y + SLACK,
-            fold_rad=np.arctan(np.sqrt(fold_r2)),
-        )
+    @property
+    def farthest(self) -> float:
+        """The radius of the farthest corner."""
+        return float(np.linalg.norm(np.maximum(-self.low, self.high)))
 
     def radius(self, angle_rad: FloatArray) -> FloatArray:
-        """Distorted radius, without the tangential part, of rays (c, ...) off the axis."""
-        shape = (-1, *(1,) * (angle_rad.ndim - 1))
-        d0, d1, d2, d3 = (term.reshape(shape) for term in self.terms)
-        r, t2 = np.tan(angle_rad), angle_rad * angle_rad
+        """Distorted radius of rays off the axis, without the tangential part."""
+        d0, d1, d2, d3 = self.terms
+        if self.is_fisheye:
+            t2 = angle_rad * angle_rad
+            return angle_rad * (1 + t2 * (d0 + t2 * (d1 + t2 * (d2 + t2 * d3))))
+        r = np.tan(angle_rad)
         r2 = r * r
-        fisheye = angle_rad * (1 + t2 * (d0 + t2 * (d1 + t2 * (d2 + t2 * d3))))
-        return np.where(self.is_fisheye.reshape(shape), fisheye, r * (1 + r2 * (d0 + r2 * d1)))
+        return r * (1 + r2 * (d0 + r2 * d1))
 
-    def tangential(self, angle_rad: FloatArray) -> FloatArray:
-        """Most that the tangential part moves rays (c, ...)."""
-        size = np.where(self.is_fisheye, 0.0, 3 * np.hypot(self.terms[2], self.terms[3]))
-        return size.reshape(-1, *(1,) * (angle_rad.ndim - 1)) * np.tan(angle_rad) ** 2
+    def tangential(self) -> float:
+        """Most that the tangential part moves a ray that is in the image: 3 |p| r^2 at the largest r."""
+        size = 0.0 if self.is_fisheye else 3 * float(np.hypot(self.terms[2], self.terms[3]))
+        if size == 0:
+            return 0.0
+        return size * min(float(np.tan(self.fold_rad)), self._largest_r(size)) ** 2
 
-
-def _bounds(lenses: _Lenses) -> FloatArray:
-    begin, end = _rings(lenses)
-    share = np.linspace(0.0, 1.0, N_FINE_RINGS + 1)
-    edges = begin[:, None] + (end - begin)[:, None] * share
-    sectors = np.linspace(-np.pi, np.pi, N_SECTORS + 1)
-    can_see = _meets_image(lenses, edges, sectors)
-    inner, outer = edges[:, :-1, None], edges[:, 1:, None]
-    out = np.empty((len(begin), len(SIDES_RAD)))
-    for side, azimuth in enumerate(SIDES_RAD):
-        cosine = _cosine_range(sectors - azimuth)[1]
-        # Towards the side the outer edge reaches farthest, away from it the inner edge.
-        reach = np.where(cosine > 0, np.tan(outer) * cosine, np.tan(inner) * cosine)
-        out[:, side] = np.arctan(np.where(can_see, reach, -np.inf).max(axis=(1, 2)))
-    return out
-
-
-def _rings(lenses: _Lenses) -> tuple[FloatArray, FloatArray]:
-    """(c,) angles off the axis between which all valid pixels lie; both zero where there are none."""
-    edges = np.minimum(np.linspace(0.0, np.pi / 2, N_RINGS + 1), lenses.fold_rad[:, None])
-    margin = lenses.tangential(edges[:, 1:])
-    nearest = np.hypot(
-        np.maximum(np.maximum(lenses.left, -lenses.right), 0.0), np.maximum(np.maximum(lenses.top, -lenses.bottom), 0.0)
-    )
-    farthest = np.hypot(np.maximum(-lenses.left, lenses.right), np.maximum(-lenses.top, lenses.bottom))
-    radius = lenses.radius(edges)
-    can_see = (radius[:, :-1] - margin <= farthest[:, None]) & (radius[:, 1:] + margin >= nearest[:, None])
-    # What cannot be said, because two infinities cancel, counts as seen.
-    can_see |= ~np.isfinite(radius[:, 1:] + margin)
-    can_see &= edges[:, 1:] > edges[:, :-1]
-    has_any = can_see.any(axis=1)
-    first, last = can_see.argmax(axis=1), can_see.shape[1] - can_see[:, ::-1].argmax(axis=1)
-    row = np.arange(len(edges))
-    return np.where(has_any, edges[row, first], 0.0), np.where(has_any, edges[row, last], 0.0)
+    def _largest_r(self, size: float) -> float:
+        """The r from which on r + k1 r^3 + k2 r^5 - size r^2 stays beyond the farthest corner; infinite if never."""
+        k1, k2 = self.terms[:2]
+        leading = k2 if k2 != 0 else k1
+        if leading <= 0:
+            return np.inf
+        # In x = 1/r, so that the largest r is the smallest x. Exact zeros are r = infinity, excluded by `leading`.
+        x = np.roots([self.farthest, -1.0, size, -k1, 0.0, -k2])
+        x = x[x != 0]
+        # A double root comes out as a pair with a small imaginary part, good to some 1e-8 of its size.
+        near_real = x.real[(x.real > 0) & (np.abs(x.imag) <= 1e-3 * np.abs(x))]
+        smallest = float(near_real.min(initial=np.inf))
+        return 1.001 / smallest if np.isfinite(smallest) else np.inf
 
 
-def _meets_image(lenses: _Lenses, edges: FloatArray, sectors: FloatArray) -> BoolArray:
-    """(c, rings, sectors) whether a cell's rectangle of pixels meets the image."""
-    radius, margin = lenses.radius(edges), lenses.tangential(edges[:, 1:])[:, :, None]
-    inner, outer = radius[:, :-1, None], radius[:, 1:, None]
-    can_see = np.ones((len(edges), N_FINE_RINGS, N_SECTORS), dtype=bool)
-    for azimuth, low, high in ((0.0, lenses.left, lenses.right), (np.pi / 2, lenses.top, lenses.bottom)):
-        least, most = _cosine_range(sectors - azimuth)
-        smallest = np.where(least > 0, inner, outer) * least - margin
-        largest = np.where(most > 0, outer, inner) * most + margin
-        can_see &= ~((smallest > high[:, None, None]) | (largest < low[:, None, None]))
-    return can_see
+def _lenses(cameras: Cameras, folds_rad: FloatArray) -> Iterator[_Lens]:
+    for row, size, is_fisheye, fold_rad in zip(
+        cameras.intrinsics, cameras.size_px, cameras.is_fisheye, folds_rad, strict=True
+    ):
+        low = (-0.5 - row[2:4]) / row[:2] - SLACK
+        high = (size - 0.5 - row[2:4]) / row[:2] + SLACK
+        yield _Lens(bool(is_fisheye), row[4:], low, high, float(fold_rad))
 
 
-def _cosine_range(edges_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) smallest and largest cosine on each of n intervals that are shorter than half a turn."""
-    ends = np.cos(edges_rad)
-    least, most = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
-    turns = edges_rad / (2 * np.pi)
-    has_top = np.floor(turns[1:]) > np.floor(turns[:-1])
-    has_bottom = np.floor(turns[1:] + 0.5) > np.floor(turns[:-1] + 0.5)
-    return np.where(has_bottom, -1.0, least), np.where(has_top, 1.0, most)
+def _folds_rad(cameras: Cameras) -> FloatArray:
+    """(C,) where lenses fold back: the tile's own folds, so that both agree about what is valid."""
+    terms = cameras.intrinsics.T[4:, :, None]
+    fold_r2 = np.where(cameras.is_fisheye, KannalaBrandt.fold_r2(terms), Brown.fold_r2(terms))
+    return np.minimum(np.arctan(np.sqrt(fold_r2)) * (1 + SLACK), np.pi / 2)
+
+
+def _bounds(lens: _Lens) -> FloatArray:
+    """(4,) bounds of one lens."""
+    margin = lens.tangential()
+    if not np.isfinite(margin):
+        return np.full(4, np.pi / 2)
+    border = _border(lens.low - margin, lens.high + margin)
+    inner, outer = _angles(lens, border)
+    azimuth = np.arctan2(border[:, 1], border[:, 0])
+    turn = (np.diff(azimuth) + np.pi) % (2 * np.pi) - np.pi
+    begin, end = azimuth[:-1] + np.minimum(turn, 0), azimuth[:-1] + np.maximum(turn, 0)
+    cosine = np.stack([_largest_cosine(begin - side, end - side) for side in SIDES_RAD])
+    # Towards the side the outer edge reaches farthest, away from it the inner one.
+    reach = np.where(cosine > 0, np.tan(outer), np.tan(inner)) * cosine
+    return np.arctan(reach).max(axis=1)
+
+
+def _border(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(4 N_PIECES + 1, 2) points around a rectangle; the last is the first."""
+    share = np.linspace(0.0, 1.0, N_PIECES, endpoint=False)[:, None]
+    corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]], low])
+    sides = [corners[k] + share * (corners[k + 1] - corners[k]) for k in range(4)]
+    return np.concatenate([*sides, low[None]])
+
+
+def _angles(lens: _Lens, border: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest angle off the axis over each piece of the border, at most the fold's."""
+    ends, steps = border[:-1], np.diff(border, axis=0)
+    share = np.clip(-(ends * steps).sum(axis=1) / np.maximum((steps**2).sum(axis=1), 1e-300), 0.0, 1.0)
+    nearest = np.linalg.norm(ends + share[:, None] * steps, axis=1)
+    at_ends = np.linalg.norm(border, axis=1)
+    farthest = np.maximum(at_ends[:-1], at_ends[1:])
+    rings = np.linspace(0.0, lens.fold_rad, N_RINGS + 1)
+    radius = np.maximum.accumulate(lens.radius(rings))
+    below = np.searchsorted(radius, nearest, side="left") - 1
+    above = np.searchsorted(radius, farthest, side="right")
+    return rings[np.clip(below, 0, N_RINGS)], rings[np.clip(above, 0, N_RINGS)]
+
+
+def _largest_cosine(begin_rad: FloatArray, end_rad: FloatArray) -> FloatArray:
+    """The largest cosine on intervals of at most half a turn."""
+    turns = np.floor(end_rad / (2 * np.pi)) > np.floor(begin_rad / (2 * np.pi))
+    # Half a turn, of a piece that runs through the axis itself, may be either half.
+    return np.where(turns | (end_rad - begin_rad > 3.0), 1.0, np.maximum(np.cos(begin_rad), np.cos(end_rad)))

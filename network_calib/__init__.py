@@ -14,7 +14,7 @@ Presence 14(4), 2005, finished by a joint maximum-likelihood solve. File by step
     7  scale, world frame, named gauge                      world.py (gauge.py)
     +  quality: hold-out, covariance, doubts, refusals      quality.py, sync.py, doubts.py, refusals.py, evaluate.py
 
-`calibrate.py` is the list of these steps.
+`calibrate.py` is the list of these steps. What a finished calibration says of pixels, rays and points: `rays.py`.
 
 Deliberate deviations from the paper, with the reason:
     - every frame seen by two cameras is used, not only those seen by three or by all: more data, and

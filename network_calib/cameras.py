@@ -181,6 +181,10 @@ def cam_from_img(
                 ray_xy = np.where(fisheye[..., None], ray_xy, ray_xy - step)
         error = np.abs(distort(distortion, fisheye, ray_xy) - target).max(axis=-1)
         is_valid = (error < 1e-9) & (fisheye | _is_before_fold(distortion, ray_xy))
+        if distortion[..., 2:].any() and not fisheye.all():
+            # Tangential terms fold an image a little before its radius does, to one side.
+            slope = _brown_jacobian(distortion, ray_xy)
+            is_valid &= fisheye | (slope[..., 0, 0] * slope[..., 1, 1] > slope[..., 0, 1] * slope[..., 1, 0])
     return np.where(is_valid[..., None], ray_xy, np.nan), is_valid
 
 

@@ -5,6 +5,7 @@
     ├── DegenerateError           the geometry does not determine the answer; says where to wave next
     │   └── FlatError             the spot moved in a plane or along a line
     ├── ConvergenceError          the solve did not reach an optimum worth reporting
+    ├── ProjectionError           a question that a calibration cannot answer (`nodes.projection.errors`)
     └── DeviceError               a device cannot be opened, or answers what it must not (`nodes.devices.errors`)
         └── SourceError           a camera, video or folder of images
 

@@ -104,7 +104,9 @@ class CameraNode:
         match verb:
             case Verb.START:
                 for worker in self.workers:
-                    worker.begin(command.header.session, is_room_empty=not command.is_late)
+                    # A recording is played from its beginning, however late it is begun.
+                    is_empty = worker.feed.is_played or not command.is_late
+                    worker.begin(command.header.session, is_room_empty=is_empty)
             case Verb.STOP:
                 for worker in self.workers:
                     worker.end()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from network_calib.errors import SpotcalError
-from nodes.commands import bus, coordinator, instruments, recording, site, sources
+from nodes.commands import bus, coordinator, instruments, projection, recording, site, sources
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -194,6 +194,8 @@ app.command()(coordinator.coordinator)
 app.command()(recording.record)
 app.command()(recording.replay)
 app.command()(recording.info)
+app.command()(projection.projection)
+app.command()(projection.project)
 
 
 @app.command()

@@ -9,6 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from lrf_stereo.calibrated_scanner import scanner_of
 from lrf_stereo.scanner import TiltingScanner
 from network_calib.cameras import Cameras
 from network_calib.evaluate import evaluate
@@ -124,22 +125,6 @@ def compare_with_truth(calibration: Calibration, built: Room, sighting: Sighting
     is_evaluated = sighting.observations.n_views() >= 2
     share = float((evaluation.is_inlier == sighting.is_usable[is_evaluated]).mean())
     return Comparison(compare_cameras(calibration, built.cameras), share)
-
-
-def scanner_of(lrf: CalibratedLrf) -> TiltingScanner:
-    """The scanner that a calibration describes."""
-    tilt_gain, range_bias_m, range_scale, bearing_zero_rad, clock_offset_s = lrf.instrument.tolist()
-    return TiltingScanner(
-        world_from_lrf=lrf.world_from_lrf,
-        axis_direction_in_world=lrf.axis_direction_in_world,
-        axis_point_in_world=lrf.axis_point_in_world,
-        reference_tilt_rad=lrf.reference_tilt_rad,
-        tilt_gain=tilt_gain,
-        range_bias_m=range_bias_m,
-        range_scale=range_scale,
-        bearing_zero_rad=bearing_zero_rad,
-        clock_offset_s=clock_offset_s,
-    )
 
 
 def compare_lrf(

@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from network_calib.cameras import LensModel
+from network_calib.errors import InputError
 from network_calib.formats.calibration_reader import read_calibration
 from network_calib.formats.lrf_json import lrf_document
 from network_calib.formats.shared_json import canonical_pose, covariance_document, pose_document
-from network_calib.formats.strict_json import Node, parse_json
+from network_calib.formats.strict_json import Node, parse_json, parse_json_text
 from network_calib.result import PARAMETER_NAMES, CalibratedCamera, Calibration
 
 SCHEMA = "spotcal.calibration/1"
@@ -59,9 +60,25 @@ def load(path: Path) -> Calibration:
     Raises:
         InputError: lists every fault with its JSON path.
     """
-    root = Node(parse_json(path), "$")
+    return _read(parse_json(path), path)
+
+
+def loads(text: bytes, source: Path | str) -> Calibration:
+    """The same of a file's bytes; `source` stands in the message.
+
+    Raises:
+        InputError: see `load`.
+    """
+    try:
+        return _read(parse_json_text(text.decode("utf-8-sig"), source), source)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{source} is not UTF-8 text: byte {error.start}") from None
+
+
+def _read(value: object, source: Path | str) -> Calibration:
+    root = Node(value, "$")
     calibration = read_calibration(root, schema=SCHEMA)
-    root.finish(path)
+    root.finish(source)
     return calibration
 
 

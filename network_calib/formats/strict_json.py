@@ -21,11 +21,15 @@ def parse_json(path: Path) -> object:
     Raises:
         InputError: with the line and column where the text ceases to be JSON.
     """
-    text = read_text(path, limit_bytes=MAX_BYTES)
+    return parse_json_text(read_text(path, limit_bytes=MAX_BYTES), path)
+
+
+def parse_json_text(text: str, source: Path | str) -> object:
+    """The same of text; `source` stands in the message."""
     try:
         return json.loads(text, object_pairs_hook=_unique_names, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON: {error}") from None
+        raise InputError(f"{source} is not valid JSON: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)

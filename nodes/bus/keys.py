@@ -10,7 +10,8 @@
     B/session/state                   of the coordinator
     B/result/calibration              newest calibration
     B/svc/result/calibration          queryable: the same, for those who came late
-    B/svc/project, B/proj/<camera>    projection service
+    B/svc/project, locate, bearings   queryables: projection service
+    B/proj/<camera>                   every scan in a camera; below it /foxglove, the same for viewers
 
 `**` matches no part that begins with `@`: versions and journals stay out of everybody's subscriptions.
 """
@@ -115,6 +116,9 @@ class Keys:
     def all_observations(self) -> str:
         return f"{self.base}/node/*/obs/*"
 
+    def observations_of(self, kind: Kind) -> str:
+        return f"{self.base}/node/*/obs/{kind}"
+
     def replay_rows(self, node: str) -> str:
         return f"{self.base}/node/{check_name(node, of='node')}/@replay/rows"
 
@@ -161,8 +165,19 @@ class Keys:
     def project_service(self) -> str:
         return f"{self.base}/svc/project"
 
+    @property
+    def locate_service(self) -> str:
+        return f"{self.base}/svc/locate"
+
+    @property
+    def bearings_service(self) -> str:
+        return f"{self.base}/svc/bearings"
+
     def projection(self, camera: str) -> str:
         return f"{self.base}/proj/{check_name(camera, of='camera')}"
+
+    def projection_annotations(self, camera: str) -> str:
+        return f"{self.projection(camera)}/foxglove"
 
 
 def parse_observation(key: str) -> ObservationKey | None:

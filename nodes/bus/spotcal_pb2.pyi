@@ -557,18 +557,20 @@ class LocateReply(_message.Message):
     def __init__(self, calibration_id: _Optional[str] = ..., n_points: _Optional[int] = ..., is_valid: _Optional[bytes] = ..., origin_m: _Optional[bytes] = ..., direction: _Optional[bytes] = ..., xyz_m: _Optional[bytes] = ..., covariance_m2: _Optional[bytes] = ...) -> None: ...
 
 class BearingsRequest(_message.Message):
-    __slots__ = ("calibration_id", "lrf", "xyz_m", "tilt_rad", "stamp_ns")
+    __slots__ = ("calibration_id", "lrf", "xyz_m", "pixels", "tilt_rad", "stamp_ns")
     CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
     LRF_FIELD_NUMBER: _ClassVar[int]
     XYZ_M_FIELD_NUMBER: _ClassVar[int]
+    PIXELS_FIELD_NUMBER: _ClassVar[int]
     TILT_RAD_FIELD_NUMBER: _ClassVar[int]
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     calibration_id: str
     lrf: str
     xyz_m: bytes
+    pixels: Pixels
     tilt_rad: bytes
     stamp_ns: int
-    def __init__(self, calibration_id: _Optional[str] = ..., lrf: _Optional[str] = ..., xyz_m: _Optional[bytes] = ..., tilt_rad: _Optional[bytes] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
+    def __init__(self, calibration_id: _Optional[str] = ..., lrf: _Optional[str] = ..., xyz_m: _Optional[bytes] = ..., pixels: _Optional[_Union[Pixels, _Mapping]] = ..., tilt_rad: _Optional[bytes] = ..., stamp_ns: _Optional[int] = ...) -> None: ...
 
 class BearingsReply(_message.Message):
     __slots__ = ("calibration_id", "lrf", "n_points", "bearing_rad", "range_m", "out_of_plane_m", "step", "is_seen")

@@ -113,7 +113,9 @@ class LiveCamera:
 
     def _note_beginning(self, frame: Frame, began_ns: int) -> None:
         if self._marks is not None and self._mark is None:
-            self._mark = SessionMark(self.session, frame.sequence, began_ns)
+            # Begun in a room that may not be empty, the background is learnt anew behind the first frame, see `take`.
+            relearnt = () if self._is_room_empty else (frame.sequence + 1,)
+            self._mark = SessionMark(self.session, frame.sequence, began_ns, relearnt)
             self._marks.begin(self._camera, self._mark)
 
     def _relearn_if_due(self, frame: Frame, detector: SpotDetector) -> None:

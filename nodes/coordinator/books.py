@@ -65,6 +65,7 @@ class Book:
         spans: of each boot that the node vouched for, as of its newest answer.
         vouched: boots that are believed.
         answered: serial of the newest question for a summary that was answered; -1: none was.
+        is_in_session: the node said with it that it goes on observing.
         n_silent: questions for a summary without an answer since the last answer.
         n_fruitless: questions for rows that brought none of those missing, since the last that did.
     """
@@ -74,6 +75,7 @@ class Book:
     vouched: set[bytes] = field(default_factory=set)
     held: list[Held] = field(default_factory=list)
     answered: int = -1
+    is_in_session: bool = False
     n_silent: int = 0
     n_fruitless: int = 0
     wants_summary: bool = False
@@ -111,13 +113,15 @@ class Book:
         self._asking, self._next_s = Ask(self.node, serial, gap), now_s
         return self._asking
 
-    def vouch(self, spans: dict[bytes, tuple[Span, ...]], serial: int, ledger: Ledger) -> None:
+    def vouch(
+        self, spans: dict[bytes, tuple[Span, ...]], serial: int, ledger: Ledger, *, is_in_session: bool = False
+    ) -> None:
         """The summary that was asked for at `serial`."""
         self.n_silent = 0
         if serial < self.answered:
             return
         self.answered = serial
-        self.spans = spans
+        self.spans, self.is_in_session = spans, is_in_session
         self.vouched = {*spans, *ledger.boots(self.node)}
         self.has_gaps = next(self.gaps(ledger), None) is not None
 

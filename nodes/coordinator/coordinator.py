@@ -205,6 +205,8 @@ class Coordinator:
     def _send(self, node: str, verb: Verb) -> None:
         """In a thread of the orders."""
         command = pb.Command(header=self._announcer.header())
+        # Whoever joins when the room is no longer empty must not take what is in it for its background.
+        command.is_late = verb is Verb.START and self.state.phase is not Phase.BACKGROUND
         if verb is Verb.TILTS:
             command.tilts_rad.extend(math.radians(angle) for angle in self._plan.site.session.tilts_deg)
             command.n_crossings = self._plan.site.session.crossings

@@ -66,11 +66,13 @@ class Ending:
             missing = self._ingest.complete(max(end_s - time.monotonic(), STOP_TIMEOUT_S))
             if self._is_left.is_set():
                 raise DeviceError("told to end before the calibration began")
-            # A node that came back in the meantime went on observing.
-            if (missing.is_complete and self._is_stopped()) or time.monotonic() > end_s:
+            # A node that came back in the meantime went on observing, and says so before anybody sees its presence.
+            is_whole = missing.is_complete and not missing.observing and self._is_stopped()
+            if is_whole or time.monotonic() > end_s:
                 break
-        if not missing.is_complete:
-            self.notes = (str(missing),)
+        self.notes = () if missing.is_complete else (str(missing),)
+        if missing.observing:
+            self.notes += (f"not stopped, what they see from now on is left out: {', '.join(missing.observing)}",)
         self._store.close()
         return self._worker.submit(finish_offline, FinishJob(self._folder)).result()
 

@@ -109,7 +109,8 @@ class Intake:
         book = self.book(summary.header.node)
         if book is None:
             return self.refusals.count(summary.header.node, "node: not of this site, or too many")
-        book.vouch(spans, serial, self.ledger)
+        is_in_session = summary.header.session == self._session
+        book.vouch(spans, serial, self.ledger, is_in_session=is_in_session)
         return self._judge(book, serial, now_s)
 
     def unanswered(self, book: Book, serial: int, now_s: float) -> None:

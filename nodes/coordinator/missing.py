@@ -32,10 +32,12 @@ class MissingReport:
     Attributes:
         nodes: that were asked.
         items: what is missing; empty when nothing is.
+        observing: nodes that said that they are still in the session, so that more will come.
     """
 
     nodes: tuple[str, ...]
     items: tuple[Missing, ...]
+    observing: tuple[str, ...] = ()
 
     @property
     def is_complete(self) -> bool:
@@ -57,7 +59,8 @@ def missing_of(books: Iterable[Book], ledger: Ledger, *, since: int) -> MissingR
     """
     ordered = sorted(books, key=lambda book: book.node)
     items = tuple(item for book in ordered for item in _of_book(book, ledger, since))
-    return MissingReport(tuple(book.node for book in ordered), items)
+    observing = tuple(book.node for book in ordered if book.is_in_session)
+    return MissingReport(tuple(book.node for book in ordered), items, observing)
 
 
 def _of_book(book: Book, ledger: Ledger, since: int) -> Iterator[Missing]:

@@ -147,7 +147,8 @@ def test_scans_larger_than_a_tile_and_cameras_of_mixed_kinds_are_the_camera_mode
     points = scanner.points_in_world(range_m, bearing, tilt)
     for i in range(len(cameras)):
         px, is_front = cameras.img_from_world(np.full(len(points), i), points)
-        np.testing.assert_allclose(projection.px[i], px, rtol=1e-12, atol=1e-9)
+        # Of so many points some lie at a depth of 1e-5 m, known to 1e-15 m, and the fifth power of x/z grows with that.
+        np.testing.assert_allclose(projection.px[i], px, rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(np.isfinite(projection.px[i]).all(axis=1), is_front)
         in_cam = cameras.cam_from_world[i].apply(points)
         np.testing.assert_allclose(projection.depth_m[i], in_cam[:, 2], rtol=0, atol=1e-12)

@@ -127,3 +127,13 @@ def test_marks_outlive_the_process_and_damage(tmp_path):
     for damage in ("", "[]", '{"C0": {}}', '{"C0": 3}'):
         (tmp_path / "j.marks").write_text(damage)
         assert SessionMarks(journal).of("C0", "s") is None
+
+
+def test_a_late_camera_that_is_killed_begins_again_as_late(frames, tmp_path):
+    moving = frames[N_LEARNING - 2 :]
+    first = camera(SessionMarks(tmp_path / "j"))
+    first.begin("s", Resumed(None))
+    batches = fed(first, moving) + first.flush()
+    second = camera(SessionMarks(tmp_path / "j"))
+    second.begin("s", Resumed(second.mark_of("s")))
+    assert rows(fed(second, moving) + second.flush()) == rows(batches)

@@ -246,3 +246,16 @@ def test_real_nodes_observe_before_and_after_they_and_the_coordinator_are_there(
     assert len(payloads) == 1400
     assert len(taken) == 700 + 1400
     assert sorted({received.payload for received in taken}) == sorted(payloads)
+
+
+def test_a_node_that_goes_on_observing_is_told_of_until_it_stops(endpoints, ingest, tmp_path):
+    with Journal(tmp_path / "n1.journal") as journal:
+        journal.session = SESSION
+        with BusNode("n1", Role.CAMERA, BusOptions(SITE, endpoints), journal) as node:
+            node.observe(Kind.SPOTS, batch("", b"", 0), stamp_ns=time.time_ns())
+            assert wait_until(lambda: ingest.n_rows == 1)
+            report = ingest.complete(PATIENCE_S)
+            # Nothing is missing so far, and yet the recording must not be closed.
+            assert (report.is_complete, report.observing) == (True, ("n1",))
+            journal.session = ""
+            assert ingest.complete(PATIENCE_S).observing == ()

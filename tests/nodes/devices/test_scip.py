@@ -360,6 +360,16 @@ def test_a_status_with_its_eighth_bit_flipped_is_a_damaged_scan_and_no_fault():
     assert scanner.counts.laser_faults == 0
 
 
+def test_a_scanner_whose_last_client_died_while_it_asked_for_its_clock_is_started_again():
+    clock = VirtualClock()
+    line = LoopbackTransport(ScipDevice(room()), clock)
+    Scip(line, clock=clock).start()
+    line.write(b"TM0\nTM1\nTM")
+    next_one = Scip(line, clock=clock)
+    assert next_one.start().steps == URG_04LX.steps
+    assert collect(next_one, clock, 1.0)
+
+
 def test_sensor_clock_is_asked_for():
     scanner, device, clock = connected()
     scanner.stop()
