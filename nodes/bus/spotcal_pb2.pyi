@@ -159,7 +159,7 @@ class LrfScan(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., lrf: _Optional[str] = ..., scan: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., sigma_s: _Optional[float] = ..., device_s: _Optional[float] = ..., readings_mm: _Optional[_Iterable[int]] = ..., intensity: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class LrfSpot(_message.Message):
-    __slots__ = ("header", "lrf", "setting", "stamp_ns", "range_m", "bearing_rad", "range_sigma_m", "bearing_sigma_rad", "out_of_plane_sigma_m", "bias_bound_m")
+    __slots__ = ("header", "lrf", "setting", "stamp_ns", "range_m", "bearing_rad", "range_sigma_m", "bearing_sigma_rad", "out_of_plane_sigma_m", "bias_bound_m", "n_spots")
     HEADER_FIELD_NUMBER: _ClassVar[int]
     LRF_FIELD_NUMBER: _ClassVar[int]
     SETTING_FIELD_NUMBER: _ClassVar[int]
@@ -170,6 +170,7 @@ class LrfSpot(_message.Message):
     BEARING_SIGMA_RAD_FIELD_NUMBER: _ClassVar[int]
     OUT_OF_PLANE_SIGMA_M_FIELD_NUMBER: _ClassVar[int]
     BIAS_BOUND_M_FIELD_NUMBER: _ClassVar[int]
+    N_SPOTS_FIELD_NUMBER: _ClassVar[int]
     header: Header
     lrf: str
     setting: int
@@ -180,7 +181,8 @@ class LrfSpot(_message.Message):
     bearing_sigma_rad: float
     out_of_plane_sigma_m: float
     bias_bound_m: float
-    def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., lrf: _Optional[str] = ..., setting: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., range_m: _Optional[float] = ..., bearing_rad: _Optional[float] = ..., range_sigma_m: _Optional[float] = ..., bearing_sigma_rad: _Optional[float] = ..., out_of_plane_sigma_m: _Optional[float] = ..., bias_bound_m: _Optional[float] = ...) -> None: ...
+    n_spots: int
+    def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., lrf: _Optional[str] = ..., setting: _Optional[int] = ..., stamp_ns: _Optional[int] = ..., range_m: _Optional[float] = ..., bearing_rad: _Optional[float] = ..., range_sigma_m: _Optional[float] = ..., bearing_sigma_rad: _Optional[float] = ..., out_of_plane_sigma_m: _Optional[float] = ..., bias_bound_m: _Optional[float] = ..., n_spots: _Optional[int] = ...) -> None: ...
 
 class TiltSample(_message.Message):
     __slots__ = ("header", "lrf", "setting", "tilt_rad", "steps", "has_steps")

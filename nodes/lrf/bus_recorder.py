@@ -137,6 +137,7 @@ class BusRecorder:
                 bearing_sigma_rad=float(found.sigma_bearing_rad[k]),
                 out_of_plane_sigma_m=float(found.sigma_out_of_plane_m[k]),
                 bias_bound_m=float(found.bias_bound_m[k]),
+                n_spots=len(found),
             )
             self._observe(Kind.LRF_SPOT, message, float(found.time_s[k]))
 

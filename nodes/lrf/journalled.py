@@ -54,18 +54,21 @@ class Journalled:
 
 
 def read_journalled(journal: Journal, session: str) -> Journalled:
-    """What a session's rows say. A tilt is finished when crossings of it stand there: they come when it ends."""
+    """What a session's rows say. A tilt is finished when all its crossings stand there: they come when it ends."""
     out = Journalled()
     arrived: dict[int, pb.TiltSample] = {}
     last_s: dict[int, float] = {}
+    n_left: dict[int, int] = {}
     for kind, payload in _rows(journal, session):
         match kind:
             case Kind.TILT:
                 sample = pb.TiltSample.FromString(payload)
                 arrived[sample.setting] = sample
+                n_left.pop(sample.setting, None)
             case Kind.LRF_SPOT:
                 spot = pb.LrfSpot.FromString(payload)
                 out.n_crossings += 1
+                n_left[spot.setting] = n_left.get(spot.setting, spot.n_spots) - 1
                 last_s[spot.setting] = max(last_s.get(spot.setting, 0.0), 1e-9 * spot.stamp_ns)
             case Kind.TILTS:
                 out.is_complete = True
@@ -76,7 +79,7 @@ def read_journalled(journal: Journal, session: str) -> Journalled:
                     log.add(sample)
             case _:
                 pass
-    while len(out.rests) in last_s and len(out.rests) in arrived:
+    while len(out.rests) in arrived and n_left.get(len(out.rests), 1) <= 0:
         sample = arrived[len(out.rests)]
         steps = sample.steps if sample.has_steps else None
         out.rests.append(Rest(1e-9 * sample.header.stamp_ns, last_s[len(out.rests)], steps))

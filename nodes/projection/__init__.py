@@ -5,7 +5,7 @@ gets the same numbers.
 
 points.py       what is asked, and what is answered
 calibration.py  a calibration that answers; errors.py why it refuses
-requests.py     its questions as values; wire.py and wire_answers.py questions and answers as bytes
+requests.py     its questions as values; wire.py and wire_requests.py these as bytes and back, wire_answers.py answers
 desk.py         answers bytes by bytes; current.py the calibration in force; service.py both on the bus
 client.py       asks the service; async_client.py the same without holding an event loop
 """

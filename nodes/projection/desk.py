@@ -26,8 +26,8 @@ from nodes.projection.requests import (
     TriangulateAsked,
 )
 from nodes.projection.services import Service
-from nodes.projection.wire import bearings_asked, locate_asked, project_asked, too_large
 from nodes.projection.wire_answers import Answer, encode_answer, encode_error
+from nodes.projection.wire_requests import bearings_asked, locate_asked, project_asked, too_large
 
 # An answer of more than a message may hold would be lost without a word.
 MAX_REPLY_BYTES = 12 * 2**20

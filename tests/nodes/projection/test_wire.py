@@ -9,7 +9,7 @@ from nodes.devices.errors import DeviceError
 from nodes.projection.errors import ErrorCode, ProjectionError
 from nodes.projection.points import Beams, Bearings, CovarianceOf, Located, LrfPoints, Projected, Rays, WorldPoints
 from nodes.projection.requests import BearingsAsked, CameraPixels, FloorAsked, ProjectAsked, RaysAsked, TriangulateAsked
-from nodes.projection.wire import MAX_REQUEST_BYTES, bearings_asked, encode, locate_asked, project_asked
+from nodes.projection.wire import encode
 from nodes.projection.wire_answers import (
     bearings_of,
     encode_answer,
@@ -19,6 +19,7 @@ from nodes.projection.wire_answers import (
     projected_of,
     rays_of,
 )
+from nodes.projection.wire_requests import MAX_REQUEST_BYTES, bearings_asked, locate_asked, project_asked
 
 RNG = np.random.default_rng(2)
 PX, XYZ = RNG.normal(size=(7, 2)), RNG.normal(size=(7, 3))
