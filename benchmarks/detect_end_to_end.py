@@ -120,11 +120,11 @@ def _rows(film: Film, built: Room, found: Found) -> Iterator[Row]:
     false = float((~true_rows[is_shared])[inliers].mean())
     yield at_most(f"{film.what}: false among the calibration's inliers", 100 * false, 1.0, unit=" %")
     sighting = Sighting(chosen.observations, true_rows, chosen.observations.frame)
-    errors = compare_with_truth(calibration, built, sighting)
+    cameras = compare_with_truth(calibration, built, sighting).cameras
     yield at_most(f"{film.what}: hold-out RMS", calibration.quality.holdout.rms_px, 0.2, unit=" px")
-    worst_m = float(errors.errors.centre_m.max())
+    worst_m = float(cameras.errors.centre_m.max())
     note = f"worst {1e3 * worst_m:.1f} mm"
-    yield at_most(f"{film.what}: centres over their σ", float(errors.centre_in_sigma.max()), 3.0, note=note)
+    yield at_most(f"{film.what}: centres over their σ", float(cameras.centre_in_sigma.max()), 3.0, note=note)
 
 
 def _room(plan: VideoPlan) -> Room:

@@ -216,6 +216,7 @@ def _lrf_spot(m: pb.LrfSpot) -> None:
     _numbers("range_sigma_m, bearing_sigma_rad", [m.range_sigma_m, m.bearing_sigma_rad], 1e-9, 10)
     _numbers("out_of_plane_sigma_m", [m.out_of_plane_sigma_m], 1e-9, 10)
     _numbers("bias_bound_m", [m.bias_bound_m], 0, 1)
+    _numbers("n_spots", [m.n_spots], 0, MAX_SPOTS)
 
 
 def _tilt(m: pb.TiltSample) -> None:

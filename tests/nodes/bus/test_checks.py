@@ -78,6 +78,7 @@ SPOILT = [
     (Kind.LRF_SPOT, "bearing_sigma_rad", [0, 11, NAN], "range_sigma_m, bearing_sigma_rad: out of bounds"),
     (Kind.LRF_SPOT, "out_of_plane_sigma_m", [0, 11, NAN], "out_of_plane_sigma_m: out of bounds"),
     (Kind.LRF_SPOT, "bias_bound_m", [-1e-3, 1.1, NAN], "bias_bound_m: out of bounds"),
+    (Kind.LRF_SPOT, "n_spots", [32769], "n_spots: out of bounds"),
     (Kind.TILT, "lrf", [""], "lrf: no name"),
     (Kind.TILT, "setting", [256], "setting: too large"),
     (Kind.TILT, "tilt_rad", [-6.3, 6.3, NAN], "tilt_rad: out of bounds"),

@@ -58,9 +58,10 @@ def test_a_person_tilts_the_lrf_and_nothing_is_acquired_before_it_stands():
     assert all(len(setting.crossings) >= 2 for setting in acquired.settings)
     rests = [(setting.rest_begin_s, setting.rest_end_s) for setting in acquired.settings]
     for begin_s, end_s in rests:
-        # While the hand still holds it, it stands there already; a second more is left to settle.
+        # While the hand still holds it, it stands there already; a second more is left to settle. What it moves after
+        # that must be less than the stated sigma of a turn, 0.087 deg.
         during = platform.person.tilt_rad(np.linspace(begin_s + 1.0, end_s, 200))
-        assert np.ptp(during) < np.radians(0.05)
+        assert np.ptp(during) < np.radians(0.087)
     error, sigma = errors(platform, rests, acquired.tilts.tilts)
     assert acquired.tilts.sources == ("gravity", "gyroscope")
     assert abs(error[0]) < 4 * sigma[0] < np.radians(4 * 0.3)

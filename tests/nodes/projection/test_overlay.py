@@ -31,7 +31,12 @@ def beams(truth):
     readings_mm = site.ranges_mm(truth)
     is_range = site.STEPS.is_range(readings_mm)
     n = int(is_range.sum())
-    return Beams(LRF_NAME, 1e-3 * readings_mm[is_range], site.STEPS.bearings_rad[is_range], np.full(n, site.TILT_RAD))
+    return Beams(
+        LRF_NAME,
+        readings_mm[is_range].astype(np.float64) / 1e3,
+        site.STEPS.bearings_rad[is_range],
+        np.full(n, site.TILT_RAD),
+    )
 
 
 @pytest.fixture
@@ -111,20 +116,22 @@ def test_the_picture_shows_the_image_and_the_points_over_it(calibration, truth, 
     cv2.imwrite(str(image), np.full((height, width), 255, np.uint8))
     # One point on the optical axis of C0, 2 m away.
     centre = truth.cameras.cam_from_world[0].inv().apply([0.0, 0.0, 2.0])
-    draw_overlay(calibration, (WorldPoints([centre]),), "C0", out, image=image)
-    picture = cv2.imread(str(out)).astype(int)
+    draw_overlay(calibration, (WorldPoints(np.array([centre])),), "C0", out, image=image)
+    read = cv2.imread(str(out))
+    assert read is not None
+    picture = read.astype(int)
     # All of one channel in a white picture, and far from grey: the point, its ellipse, and the legend at the right.
     is_coloured = np.ptp(picture, axis=2) > 80
     rows, _ = np.nonzero(is_coloured[:, : int(0.85 * picture.shape[1])])
     assert 5 < len(rows) < 0.01 * picture[:, :, 0].size
-    middle = calibration.project(WorldPoints([centre]), ["C0"]).px[0, 0] / [width, height]
+    middle = calibration.project(WorldPoints(np.array([centre])), ["C0"]).px[0, 0] / [width, height]
     assert abs(rows.mean() / picture.shape[0] - middle[1]) < 0.08
     assert is_coloured[:, int(0.85 * picture.shape[1]) :].any()
 
 
 def test_points_that_nobody_sees_make_a_picture_without_points(calibration, tmp_path):
     out = tmp_path / "sub" / "overlay.png"
-    drawn = draw_overlay(calibration, (WorldPoints([[0.0, 0.0, -5.0]]),), "C0", out)
+    drawn = draw_overlay(calibration, (WorldPoints(np.array([[0.0, 0.0, -5.0]])),), "C0", out)
     assert len(drawn.px) == 0
     assert out.stat().st_size > 0
 
