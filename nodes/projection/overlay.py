@@ -89,7 +89,7 @@ def draw_overlay(
         InputError: an image of another size.
         SourceError: the image cannot be read.
     """
-    from nodes.camera.pictures import new_figure, save_figure
+    from nodes.report.png_figure import new_figure, save_figure
 
     drawn = drawn_points(calibration, points, camera)
     width, height = _size_px(calibration, camera)

@@ -17,7 +17,7 @@ from lrf_stereo.synthetic_picture import render
 from lrf_stereo.synthetic_scans import Capsule, ScannedRoom
 from network_calib.errors import SpotcalError
 from network_calib.observations import FloatArray
-from nodes.camera.pictures import new_figure, save_figure
+from nodes.report.png_figure import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from network_calib.cameras import cam_from_img
 from network_calib.observations import BoolArray, FloatArray, IntArray
 from network_calib.result import CalibratedCamera, CalibratedLrf, Calibration
 from network_calib.spots import SpotViews, reprojection_error
-from nodes.report.network_picture import view_axes
+from nodes.report.view_axes import view_axes
 
 Figure = Mapping[str, Any]
 MAX_POINTS = 1500
@@ -42,7 +42,8 @@ def rig_figure(calibration: Calibration, points: FloatArray) -> Figure:
     unit = calibration.world.unit
     axes = {f"{axis}axis": {"title": {"text": f"{axis}, {unit}"}} for axis in "xyz"}
     scene = {**axes, "aspectmode": "data", "camera": _eye(calibration)}
-    return _figure(traces, {"scene": scene, "height": 560, "margin": {"l": 0, "r": 0, "t": 8, "b": 0}})
+    layout = {"scene": scene, "height": 560, "margin": {"l": 0, "r": 0, "t": 8, "b": 0}, "legend": {"y": 0.9}}
+    return _figure(traces, layout)
 
 
 def plan_figure(calibration: Calibration, points: FloatArray) -> Figure:
