@@ -114,7 +114,7 @@ def _number(recording: CameraDetections) -> IntArray:
         return recording.sequence
     step_ns = np.diff(recording.stamp_ns)
     counted = np.diff(recording.sequence)
-    steps = step_ns / max(float(np.median(step_ns / counted)), 1.0)
+    steps = step_ns / max(float(np.median(step_ns / np.maximum(counted, 1))), 1.0)
     whole = np.rint(steps).astype(np.int64)
     if (np.abs(steps - whole) > MAX_UNEVENNESS).any() or (whole < counted).any():
         return recording.sequence
