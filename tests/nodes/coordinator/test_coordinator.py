@@ -205,7 +205,7 @@ def test_by_keys_and_stopped_by_one_it_keeps_everything(tmp_path):
             follow(coordinator, lambda: coordinator.state.phase is Phase.WAVING)
             coordinator.step(Press.QUIT)
             assert coordinator.is_over
-        assert [node.told[-1] for node in site.nodes] == [Verb.STOP] * 5
+            wait_until(lambda: all(node.told[-1] is Verb.STOP for node in site.nodes), "STOP at every node")
         kept = set(site.rows("by-hand"))
     folder = SessionFolder(tmp_path / "elsewhere" / "by-hand")
     assert saved_in(folder).was_stopped
