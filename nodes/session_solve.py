@@ -14,20 +14,20 @@ import numpy as np
 from rich.console import Console
 
 from lrf_stereo.lrf_priors import InstrumentSigma
-from lrf_stereo.samples import LrfSpots, TiltSettings
+from lrf_stereo.samples import LrfSpots
 from lrf_stereo.session import LrfSession
 from network_calib.candidates import Candidates
 from network_calib.choose import CHOICE_SEED, choose
 from network_calib.errors import InputError
 from network_calib.formats.recording import Recording, digest
-from network_calib.observations import FloatArray, IntArray, Observations
+from network_calib.observations import IntArray, Observations
 from network_calib.result import Calibration
 from network_calib.room_setup import CameraSetup
 from nodes.camera.camera_detections import CameraDetections
 from nodes.camera.matching_frames import Matched, candidates_of, match_frames
 from nodes.config import Resolved, resolve
 from nodes.config_model import RoomConfig
-from nodes.lrf.matching import TimedSightings, with_frames
+from nodes.lrf.matching import TimedSightings, joined_settings, with_frames
 from nodes.lrf.session import instrument_of
 from nodes.recording.join_lrfs import LrfRecord, LrfSpotColumns
 from nodes.recording.layout import PARTS, SESSION
@@ -184,7 +184,8 @@ def _lrfs(
     notes = (*notes, *(f"{record.name}: {note}" for record in whole for note in record.notes))
     known = room.model_copy(update={"lrfs": [lrf for lrf in room.lrfs if lrf.name in names]})
     instrument: tuple[InstrumentSigma, ...] = instrument_of(known, names)
-    return LrfSession(names, _joined(parts), _settings(whole), instrument), notes
+    settings = joined_settings([record.angle_rad for record in whole], [record.covariance_rad2 for record in whole])
+    return LrfSession(names, _joined(parts), settings, instrument), notes
 
 
 def _sightings(spots: LrfSpotColumns, begin_ns: int) -> TimedSightings:
@@ -203,18 +204,3 @@ def _sightings(spots: LrfSpotColumns, begin_ns: int) -> TimedSightings:
 
 def _joined(parts: Sequence[LrfSpots]) -> LrfSpots:
     return LrfSpots(*(np.concatenate([getattr(part, name) for part in parts]) for name in LrfSpots.__slots__))
-
-
-def _settings(records: Sequence[LrfRecord]) -> TiltSettings:
-    """The tilts of one LRF after the other; those of different LRFs are independent."""
-    sizes = [len(record.angle_rad) for record in records]
-    covariance: FloatArray = np.zeros((sum(sizes), sum(sizes)))
-    begin = 0
-    for record, size in zip(records, sizes, strict=True):
-        covariance[begin : begin + size, begin : begin + size] = record.covariance_rad2
-        begin += size
-    return TiltSettings(
-        scanner=np.repeat(np.arange(len(sizes)), sizes),
-        angle_rad=np.concatenate([record.angle_rad for record in records]),
-        covariance_rad2=covariance,
-    )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lrf_stereo.samples import LrfSpots, TiltSettings
 from network_calib.errors import InputError
@@ -97,15 +98,21 @@ def _is_first(spots: LrfSpots) -> np.ndarray:
 
 
 def tilt_settings(acquired: Sequence[Acquired]) -> TiltSettings:
-    """The tilts of one or more LRFs, one after the other; those of different LRFs are independent."""
-    sizes = [len(one.settings) for one in acquired]
-    covariance = np.zeros((sum(sizes), sum(sizes)))
-    begin = 0
-    for one, size in zip(acquired, sizes, strict=True):
-        covariance[begin : begin + size, begin : begin + size] = one.tilts.tilts.covariance_rad2
-        begin += size
+    """The tilts of one or more LRFs; see `joined_settings`."""
+    tilts = [one.tilts.tilts for one in acquired]
+    return joined_settings([one.angle_rad for one in tilts], [one.covariance_rad2 for one in tilts])
+
+
+def joined_settings(angle_rad: Sequence[FloatArray], covariance_rad2: Sequence[FloatArray]) -> TiltSettings:
+    """The tilts of one LRF after the other; those of different LRFs are independent.
+
+    Args:
+        angle_rad: (T,) of each LRF.
+        covariance_rad2: (T, T) of each.
+    """
+    sizes = [len(angles) for angles in angle_rad]
     return TiltSettings(
         scanner=np.repeat(np.arange(len(sizes)), sizes),
-        angle_rad=np.concatenate([one.tilts.tilts.angle_rad for one in acquired]),
-        covariance_rad2=covariance,
+        angle_rad=np.concatenate(angle_rad),
+        covariance_rad2=np.asarray(block_diag(*covariance_rad2), dtype=np.float64),
     )
